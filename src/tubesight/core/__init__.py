@@ -1,0 +1,10 @@
+"""The nouns everything shares; no logic."""
+
+from tubesight.core.arrays import Array, Image, Mask, readonly
+from tubesight.core.board import Board
+from tubesight.core.errors import InputError
+from tubesight.core.frames import FramePair
+from tubesight.core.status import Status, Unmeasurable
+from tubesight.core.tube import Tip, Tube
+
+__all__ = ["Array", "Board", "FramePair", "Image", "InputError", "Mask", "Status", "Tip", "Tube", "Unmeasurable", "readonly"]
