@@ -1,0 +1,150 @@
+"""Space curves of slender tubes, by arc length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tubesight.core import Array, readonly
+from tubesight.geometry.pose import Pose
+
+# Panels and nodes of the quadrature of an ellipse's arc length: 1e-13 relative for axis ratios up to 10.
+_PANELS = 64
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+class Curve3D(Protocol):
+    """Centreline of a tube in the base frame, millimetres, from its base (s = 0) to its tip (s = length)."""
+
+    @property
+    def model(self) -> str:
+        """Name of the family: ``line``, ``circle``, ``ellipse`` ..."""
+
+    @property
+    def length_mm(self) -> float:
+        """Arc length from base to tip."""
+
+    def at(self, s_mm: ArrayLike) -> Array:
+        """Points (N, 3) at arc lengths (N,)."""
+
+    def tangent(self, s_mm: ArrayLike) -> Array:
+        """Unit tangents (N, 3) at arc lengths (N,), towards the tip."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arc:
+    """Circular arc of constant curvature; the straight line is its limit.
+
+    In the frame of its start the curve leaves the origin along +z and bends towards the curvature vector:
+    ``p(s) = (n s^2 kappa / 2 sinc^2(kappa s / 2), s sinc(kappa s))`` with ``n`` the unit direction of bending and
+    ``sinc(x) = sin(x) / x``, which is regular at kappa = 0.
+
+    Attributes
+    ----------
+    curvature_per_mm
+        (2,) curvature vector: direction of bending in the start's xy plane times curvature.
+    length_mm
+        Arc length.
+    start
+        ``base_from_start``; the identity for a tube in its clamp.
+    """
+
+    curvature_per_mm: Array
+    length_mm: float
+    start: Pose = field(default_factory=Pose.identity)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "curvature_per_mm", readonly(self.curvature_per_mm, (2,), "curvature_per_mm"))
+
+    @property
+    def model(self) -> str:
+        """``line`` where the curvature is zero, else ``circle``."""
+        return "circle" if self.curvature_per_mm.any() else "line"
+
+    def at(self, s_mm: ArrayLike) -> Array:
+        """Points (N, 3) at arc lengths (N,)."""
+        s = np.asarray(s_mm, float)
+        angle = s * float(np.hypot(*self.curvature_per_mm))
+        side = s * s / 2 * np.sinc(angle / (2 * np.pi)) ** 2
+        return self.start.apply(np.stack([*(k * side for k in self.curvature_per_mm), s * np.sinc(angle / np.pi)], -1))
+
+    def tangent(self, s_mm: ArrayLike) -> Array:
+        """Unit tangents (N, 3) at arc lengths (N,)."""
+        s = np.asarray(s_mm, float)
+        angle = s * float(np.hypot(*self.curvature_per_mm))
+        side = s * np.sinc(angle / np.pi)
+        return self.start.rotate(np.stack([*(k * side for k in self.curvature_per_mm), np.cos(angle)], -1))
+
+
+@dataclass(frozen=True, eq=False)
+class EllipseArc:
+    """Arc of an ellipse: ``p(t) = centre + cos(t) a + sin(t) b`` for t from `start_rad` to `end_rad`.
+
+    Attributes
+    ----------
+    centre_mm, a_mm, b_mm
+        (3,) each; a and b are orthogonal semi-axes.
+    start_rad, end_rad
+        Parameters t of base and tip; the curve runs from one to the other whichever is larger.
+    """
+
+    centre_mm: Array
+    a_mm: Array
+    b_mm: Array
+    start_rad: float
+    end_rad: float
+    model: str = "ellipse"
+
+    def __post_init__(self) -> None:
+        for name in ("centre_mm", "a_mm", "b_mm"):
+            object.__setattr__(self, name, readonly(getattr(self, name), (3,), name))
+        if abs(float(self.a_mm @ self.b_mm)) > 1e-9 * float(np.linalg.norm(self.a_mm) * np.linalg.norm(self.b_mm)):
+            raise ValueError("the semi-axes of an ellipse have to be orthogonal")
+
+    def _point(self, t: Array) -> Array:
+        return np.asarray(self.centre_mm + np.cos(t)[..., None] * self.a_mm + np.sin(t)[..., None] * self.b_mm)
+
+    def _velocity(self, t: Array) -> Array:
+        return np.asarray(-np.sin(t)[..., None] * self.a_mm + np.cos(t)[..., None] * self.b_mm)
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        """Parameter t and arc length at the panel ends."""
+        t = np.linspace(self.start_rad, self.end_rad, _PANELS + 1)
+        half = (t[1] - t[0]) / 2
+        nodes = (t[:-1] + half)[:, None] + half * _NODES
+        speed = np.linalg.norm(self._velocity(nodes), axis=-1)
+        return t, np.concatenate([[0.0], np.cumsum(abs(half) * speed @ _WEIGHTS)])
+
+    @property
+    def length_mm(self) -> float:
+        """Arc length from base to tip."""
+        return float(self._table[1][-1])
+
+    def _parameter(self, s_mm: ArrayLike) -> Array:
+        """Invert the arc length by Newton's method from the panel's linear guess."""
+        s = np.asarray(s_mm, float)
+        t_table, s_table = self._table
+        panel = np.clip(np.searchsorted(s_table, s, side="right") - 1, 0, _PANELS - 1)
+        width = t_table[1] - t_table[0]
+        t = t_table[panel] + width * (s - s_table[panel]) / (s_table[panel + 1] - s_table[panel])
+        for _ in range(4):
+            half = (t - t_table[panel]) / 2
+            nodes = (t_table[panel] + half)[..., None] + half[..., None] * _NODES
+            arc = np.abs(half) * (np.linalg.norm(self._velocity(nodes), axis=-1) @ _WEIGHTS)
+            arc *= np.sign(half) * np.sign(width)
+            t = t - np.sign(width) * (s_table[panel] + arc - s) / np.linalg.norm(self._velocity(t), axis=-1)
+        return np.asarray(t)
+
+    def at(self, s_mm: ArrayLike) -> Array:
+        """Points (N, 3) at arc lengths (N,)."""
+        return self._point(self._parameter(s_mm))
+
+    def tangent(self, s_mm: ArrayLike) -> Array:
+        """Unit tangents (N, 3) at arc lengths (N,)."""
+        v = self._velocity(self._parameter(s_mm)) * np.sign(self.end_rad - self.start_rad)
+        return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))

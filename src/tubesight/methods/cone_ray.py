@@ -1,0 +1,188 @@
+"""The closed form: cone over one view's conic, rays of the other (Dalvand, Nahavandi & Howe 2016).
+
+Three choices differ from the paper, each because it fails less: the cone camera is the one whose curve the other's rays cross
+most squarely (the paper: the more curved one), the root is the one whose reprojection runs along the observed arc in order
+(equation 10: nearest in depth), and the tip is triangulated from the two tip axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from tubesight.core import Array, Status, Tube, Unmeasurable
+from tubesight.geometry.arcs import clamped_arc, clamped_ellipse, free_arc, free_ellipse, free_line
+from tubesight.geometry.cone import Cone, epipolar_crossing, ordered_depths, place_along
+from tubesight.geometry.conic import CONIC_FITS, Conic
+from tubesight.geometry.curve import Arc, Curve3D
+from tubesight.geometry.rig import Rig
+from tubesight.vision.view import View
+
+# The simplest model whose rms is within this factor of the best model's is taken: residuals are systematic, so that a
+# more general model always fits a little better.
+_SIMPLEST_WITHIN = 1.35
+# Rms under which models are not compared: an edge is not known better than this.
+_RMS_FLOOR_PX = 0.1
+# A reprojection this far off both centrelines means that no quadratic curve describes the tube (right models on
+# photographs: 0.05 to 0.3 px, wrong ones 2 px and more).
+_RMS_MAX_PX = 1.0
+# Largest distance of the two tip rays from each other.
+_TIP_GAP_MAX_PX = 4.0
+# Fewest rays that have to meet the cone, of those that cross the observed arc.
+_HITS_MIN = 6
+# |sin| of the crossing angle below which a ray's depth is noise.
+_CROSSING_MIN = 0.05
+
+
+def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
+    """Reconstruct a quadratic curve from two views.
+
+    Parameters
+    ----------
+    views
+        By camera name; the two that see most of the tube at the largest angle are used where there are more.
+
+    Raises
+    ------
+    Unmeasurable
+        If the views contradict each other, or no line, circle or ellipse describes what they show.
+    """
+    pair = _best_pair(views, rig)
+    tip = triangulate_tip(views, rig)
+    points, weights = curve_points(views[pair[0]], views[pair[1]], rig)
+    models = _clamped(points, weights, tip) if tube.clamped else _free(points, weights, tip)
+    return _simplest(models, views, rig)
+
+
+def _best_pair(views: Mapping[str, View], rig: Rig) -> tuple[str, str]:
+    names = list(views)
+    if len(names) < 2:
+        raise Unmeasurable(Status.TOO_FEW_POINTS, detail="two views are needed")
+    axes = {n: rig.camera_from_base[n].rotation[2] for n in names}
+    pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+    return max(pairs, key=lambda p: float(np.linalg.norm(np.cross(axes[p[0]], axes[p[1]]))))
+
+
+def triangulate_tip(views: Mapping[str, View], rig: Rig) -> Array:
+    """Tip (3,) from the axes of the tips in all views.
+
+    Raises
+    ------
+    Unmeasurable
+        If the axes do not meet.
+    """
+    rays = {name: (view.tip.axis / view.tip.axis[2])[None] for name, view in views.items()}
+    tip = rig.triangulate(rays)[0]
+    for name, view in views.items():
+        off = float(np.linalg.norm(rig.project(name, tip) - view.tip.px))
+        if not off <= _TIP_GAP_MAX_PX:
+            raise Unmeasurable(Status.VIEWS_DISAGREE, detail=f"the tip's rays miss each other by {off:.1f} px in {name}")
+    return tip
+
+
+def curve_points(one: View, other: View, rig: Rig) -> tuple[Array, Array]:
+    """Points of the curve in space from the rays of one view and the cone of the other.
+
+    Returns
+    -------
+    points_mm, weights
+        (N, 3) in the base frame, in order from the base, and (N,) relative precision: |sin| of the angle at which the ray's
+        epipolar line crosses the cone view's curve.
+    """
+    crossing = {
+        cone.camera: epipolar_crossing(cone.rays[:, :2], rig.relative_pose(cone.camera, ray.camera).translation_mm)
+        for cone, ray in ((one, other), (other, one))
+    }
+    cone_view, ray_view = (one, other) if crossing[one.camera] >= crossing[other.camera] else (other, one)
+    pose = rig.relative_pose(cone_view.camera, ray_view.camera)
+    focal = rig.cameras[cone_view.camera].focal_px
+    arc = cone_view.rays[:, :2]
+    conic = simplest_conic(arc, focal)
+    hits = Cone(conic).intersect(pose, ray_view.rays)
+    # The observed arcs start and end at slightly different places of the tube: a width of room beyond the ends.
+    width = float(np.median(cone_view.widths_px))
+    extended = _extend(arc, 2 * width / focal)
+    depths = ordered_depths(hits, pose, ray_view.rays, extended, 0.25 * width / focal)
+    points = ray_view.rays * depths[:, None]
+    in_cone = pose.apply(points)
+    place, _ = place_along(arc, in_cone[:, :2] / in_cone[:, 2:])
+    weights = _crossing_weights(arc, place, pose.translation_mm)
+    good = np.isfinite(depths) & (weights > _CROSSING_MIN)
+    if good.sum() < _HITS_MIN:
+        raise Unmeasurable(Status.NEAR_DEGENERATE, detail=f"{int(good.sum())} of {len(good)} rays meet the other view's cone")
+    base_from_ray = rig.camera_from_base[ray_view.camera].inverse()
+    return base_from_ray.apply(points[good]), weights[good]
+
+
+def simplest_conic(arc: Array, focal_px: float) -> Conic:
+    """Simplest conic that describes an arc: line, parabola or a conic of any kind (Taubin)."""
+    conics = [CONIC_FITS[name](arc) for name in ("line", "parabola", "taubin")]
+    rms = [float(np.sqrt(np.mean((c.sampson(arc) * focal_px) ** 2))) for c in conics]
+    limit = max(_SIMPLEST_WITHIN * min(rms), _RMS_FLOOR_PX / 4)
+    return next(c for c, r in zip(conics, rms, strict=True) if r <= limit)
+
+
+def _extend(arc: Array, length: float) -> Array:
+    """Prolong a polyline straight at both ends."""
+    k = min(5, len(arc) - 1)
+    first, last = arc[0] - arc[k], arc[-1] - arc[-1 - k]
+    return np.concatenate(
+        [[arc[0] + first / np.linalg.norm(first) * length], arc, [arc[-1] + last / np.linalg.norm(last) * length]]
+    )
+
+
+def _crossing_weights(arc: Array, place: Array, epipole: Array) -> Array:
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(arc, axis=0), axis=1))])
+    tangent = np.gradient(arc, along, axis=0)
+    towards = epipole[:2] - epipole[2] * arc
+    sine = np.abs(tangent[:, 0] * towards[:, 1] - tangent[:, 1] * towards[:, 0])
+    sine /= np.linalg.norm(tangent, axis=1) * np.maximum(np.linalg.norm(towards, axis=1), 1e-12)
+    return np.interp(np.nan_to_num(place), along, sine)
+
+
+def _clamped(points: Array, weights: Array, tip: Array) -> list[Callable[[], Curve3D]]:
+    along = max(float(tip[2]), 1e-9)
+    return [
+        lambda: Arc(np.zeros(2), along),
+        lambda: clamped_arc(tip),
+        lambda: clamped_ellipse(np.vstack([points, tip]), np.append(weights, 3 * weights.max()), tip),
+    ]
+
+
+def _free(points: Array, weights: Array, tip: Array) -> list[Callable[[], Curve3D]]:
+    return [
+        lambda: free_line(points, weights, tip),
+        lambda: free_arc(points, weights, tip),
+        lambda: free_ellipse(points, weights, tip),
+    ]
+
+
+def _simplest(models: list[Callable[[], Curve3D]], views: Mapping[str, View], rig: Rig) -> Curve3D:
+    fits: list[tuple[float, Curve3D]] = []
+    for model in models:
+        try:
+            curve = model()
+        except ValueError:
+            continue
+        rms = reprojection_rms_px(curve, views, rig)
+        if np.isfinite(rms):
+            fits.append((rms, curve))
+    if not fits or min(r for r, _ in fits) > _RMS_MAX_PX:
+        best = f"rms {min(r for r, _ in fits):.1f} px" if fits else "no curve"
+        raise Unmeasurable(Status.NOT_QUADRATIC, detail=f"best line, circle or ellipse: {best}")
+    limit = max(_SIMPLEST_WITHIN * min(r for r, _ in fits), _RMS_FLOOR_PX)
+    return next(curve for rms, curve in fits if rms <= limit)
+
+
+def reprojection_rms_px(curve: Curve3D, views: Mapping[str, View], rig: Rig) -> float:
+    """Root mean square distance of the views' centrelines and tips from the reprojected curve, all views, pixels."""
+    points = curve.at(np.linspace(0.0, curve.length_mm, 100))
+    squares = []
+    for name, view in views.items():
+        px = rig.project(name, points)
+        if not np.isfinite(px).all():
+            return float("inf")
+        _, off = place_along(px, np.vstack([view.centreline_px, view.tip.px]))
+        squares.append(off**2)
+    return float(np.sqrt(np.mean(np.concatenate(squares))))

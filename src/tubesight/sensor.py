@@ -1,0 +1,142 @@
+"""From a pair of pictures to the shape of the tube."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tubesight.core import Array, FramePair, Image, Status, Tube, Unmeasurable
+from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.rig import Rig
+from tubesight.geometry.shape import Shape, shape_of
+from tubesight.methods import METHODS
+from tubesight.methods.cone_ray import reprojection_rms_px
+from tubesight.vision.see import clamp_start, see
+from tubesight.vision.view import View
+
+DEFAULT_METHOD = "cone_ray"
+# Standard deviation of a triangulated tip across the tube's axis on a photograph, px: with three of it the azimuth of a
+# straight tube is noise.
+_TIP_SD_PX = 0.15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reconstruction:
+    """What one pair of pictures gave; falsy where the status is not ``ok``.
+
+    Attributes
+    ----------
+    frame
+        Name of the pair.
+    status, notes
+        Outcome, with cautions or the reason of a failure in words.
+    shape, curve
+        None where the status is not ``ok``.
+    views
+        By camera name, those that were found.
+    method
+        Name of the pipeline.
+    fit_rms_px
+        Distance of the reprojected curve from the views' centrelines.
+    ms
+        Milliseconds by stage.
+    """
+
+    frame: str
+    status: Status
+    notes: tuple[str, ...]
+    shape: Shape | None
+    curve: Curve3D | None
+    views: Mapping[str, View]
+    method: str
+    fit_rms_px: float = float("nan")
+    ms: Mapping[str, float] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return self.status is Status.OK
+
+    @property
+    def total_ms(self) -> float:
+        """Milliseconds from pictures to shape."""
+        return float(sum(self.ms.values()))
+
+
+@dataclass(frozen=True)
+class ShapeSensor:
+    """Measures the shape of one tube with one rig.
+
+    Attributes
+    ----------
+    rig, tube
+        The calibrated cameras and what is known of the tube.
+    method
+        A name of `tubesight.methods.METHODS`.
+    backgrounds
+        By camera name, where there are any: the scene without the tube.
+    base_px
+        By camera name, where the base is marked by hand: its pixel (2,).
+
+    Examples
+    --------
+    >>> reconstruction = ShapeSensor(rig, tube)(pair)  # doctest: +SKIP
+    """
+
+    rig: Rig
+    tube: Tube
+    method: str = DEFAULT_METHOD
+    backgrounds: Mapping[str, Image] = field(default_factory=dict)
+    base_px: Mapping[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+
+    def __call__(self, pair: FramePair) -> Reconstruction:
+        """Photographs -> views -> curve -> shape; a failure on the way becomes the status."""
+        views: dict[str, View] = {}
+        ms: dict[str, float] = {}
+        try:
+            for name, image in pair.images.items():
+                with _stage(ms, f"see {name}", name):
+                    views[name] = self._see(name, image)
+            with _stage(ms, "solve"):
+                curve = METHODS[self.method].solve(views, self.rig, self.tube)
+                rms = reprojection_rms_px(curve, views, self.rig)
+                shape = shape_of(curve, 3 * self._tip_sd_mm(curve))
+        except Unmeasurable as failure:
+            return Reconstruction(pair.name, failure.status, (str(failure),), None, None, views, self.method, ms=ms)
+        notes = [f"{v.camera}: {note}" for v in views.values() for note in v.notes]
+        if np.isnan(shape.orientation_rad):
+            notes.append("orientation undefined: the tip lies on the base axis")
+        return Reconstruction(pair.name, Status.OK, tuple(notes), shape, curve, views, self.method, rms, ms)
+
+    def _see(self, name: str, image: Image) -> View:
+        camera = self.rig.cameras[name]
+        width, height = camera.size_px
+        if image.shape[:2] != (height, width):
+            raise Unmeasurable(Status.BAD_IMAGE, detail=f"{image.shape[1]} x {image.shape[0]}, the rig has {width} x {height}")
+        start = clamp_start(camera, self.rig.camera_from_base[name], self.tube.diameter_mm or 1.0)
+        return see(name, image, self.backgrounds.get(name), camera, self.tube, start)
+
+    def _tip_sd_mm(self, curve: Curve3D) -> float:
+        tip = curve.at([curve.length_mm])[0]
+        per_px = [
+            float(pose.apply(tip)[2]) / self.rig.cameras[name].focal_px for name, pose in self.rig.camera_from_base.items()
+        ]
+        return _TIP_SD_PX * max(per_px)
+
+
+@contextmanager
+def _stage(ms: dict[str, float], stage: str, camera: str = "") -> Iterator[None]:
+    """Time a stage, and name the camera in its failure."""
+    start = time.perf_counter()
+    try:
+        yield
+    except Unmeasurable as failure:
+        raise Unmeasurable(failure.status, failure.camera or camera, failure.detail) from None
+    finally:
+        ms[stage] = 1e3 * (time.perf_counter() - start)

@@ -1,0 +1,1 @@
+"""Pixels to the view of one camera: edges, centreline and tip, as pixels and rays."""

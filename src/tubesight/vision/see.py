@@ -1,0 +1,125 @@
+"""One picture to one View: choose the segmenter, walk from the base, measure edges, find the tip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tubesight.core import Array, Image, Status, Tube, Unmeasurable
+from tubesight.geometry.camera import Camera
+from tubesight.geometry.pose import Pose
+from tubesight.vision.edges import left_of
+from tubesight.vision.signal import Signal
+from tubesight.vision.silhouette import choose
+from tubesight.vision.tip import find_tip
+from tubesight.vision.view import TipView, View
+from tubesight.vision.walker import Track, find_pair, measure, walk
+
+# Fewest scans a view needs: below it neither a conic nor a bend can be fitted.
+_SCANS_MIN = 8
+# The tube may be hidden in the clamp's shadow or rim: its first pair of edges is looked for this far from the base, in widths.
+_FIRST_WIDTHS = np.arange(0.3, 3.0, 0.15)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where the tube starts in a picture: place (2,), unit way (2,), width."""
+
+    px: Array
+    way: Array
+    width_px: float
+
+
+def clamp_start(camera: Camera, camera_from_base: Pose, diameter_mm: float) -> Start:
+    """Project the clamp: the base origin, the +z axis there, and the width of the tube.
+
+    Raises
+    ------
+    Unmeasurable
+        If the origin is behind the camera or outside of the picture.
+    """
+    origin = camera_from_base.translation_mm
+    axis = camera_from_base.rotation[:, 2]
+    across = np.cross(axis, origin)
+    across = across / np.linalg.norm(across) * diameter_mm / 2
+    px, ahead, one, other = camera.project(np.stack([origin, origin + axis * diameter_mm / 4, origin + across, origin - across]))
+    if not (np.isfinite(px).all() and np.isfinite(ahead).all() and camera.contains(px)):
+        raise Unmeasurable(Status.BASE_HIDDEN, detail="the base origin projects outside of the picture")
+    return Start(px, (ahead - px) / np.linalg.norm(ahead - px), float(np.linalg.norm(one - other)))
+
+
+def see(name: str, image: Image, background: Image | None, camera: Camera, tube: Tube, start: Start) -> View:
+    """See the tube in one picture.
+
+    Parameters
+    ----------
+    name
+        Name of the camera.
+    image, background
+        The picture, and the scene without the tube or None.
+    start
+        Where the tube starts.
+
+    Raises
+    ------
+    Unmeasurable
+        If the tube, its tip or enough of it is not found.
+    """
+    signal = choose(image, background, start.px, start.way, start.width_px)
+    track = walk(signal, *_first_pair(signal, start))
+    if len(track.middle_px) < 4:
+        raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="its edges are lost right after the base")
+    tip = _tip_of(signal, camera, tube, track)
+    edges, sigma, _ = measure(signal, track)
+    edges, sigma = _before_tip(edges, sigma, tip, track, tube)
+    if len(edges) < _SCANS_MIN:
+        raise Unmeasurable(Status.TOO_FEW_POINTS, detail=f"{len(edges)} scans")
+    rays = camera.unproject(edges)
+    unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    bisector = unit.sum(1)
+    middle = bisector / bisector[:, 2:]
+    notes = tuple(f"bridged a gap of {g:.1f} widths" for g in track.gaps)
+    return View(
+        name, edges, unit, middle, camera.project(middle), tip, float(np.median(sigma)), signal.why, notes
+    )
+
+
+def _first_pair(signal: Signal, start: Start) -> tuple[Array, Array, float]:
+    """First place from the base on where the tube shows both edges."""
+    for widths in _FIRST_WIDTHS:
+        found = find_pair(signal, start.px + widths * start.width_px * start.way, start.way, start.width_px)
+        if found is not None:
+            return found[0], start.way, found[1]
+    raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="no pair of edges beside the base")
+
+
+def _tip_of(signal: Signal, camera: Camera, tube: Tube, track: Track) -> TipView:
+    """Find the tip from the last part of the track, extrapolated by its way and bend."""
+    middle = track.middle_px[-min(len(track.middle_px), 9) :]
+    width = float(np.median(track.width_px[-5:]))
+    chord = np.linalg.norm(middle - middle[-1], axis=1)
+    order = 2 if len(middle) >= 6 else 1
+    coefficients = np.polynomial.polynomial.polyfit(-chord, middle, order)
+    way = coefficients[1] / np.linalg.norm(coefficients[1])
+    bend = float(2 * coefficients[2] @ left_of(way)) if order == 2 else 0.0
+    ratio = 1.0
+    if tube.tip.shape == "ball" and tube.tip.diameter_mm is not None and tube.diameter_mm is not None:
+        ratio = tube.tip.diameter_mm / tube.diameter_mm
+    return find_tip(signal, camera, tube.tip, coefficients[0], way, bend, width, ratio)
+
+
+def _before_tip(edges: Array, sigma: Array, tip: TipView, track: Track, tube: Tube) -> tuple[Array, Array]:
+    """Leave out scans on the ball or past the end: only the tube itself has parallel edges."""
+    way = track.middle_px[-1] - track.middle_px[max(len(track.middle_px) - 4, 0)]
+    way = way / np.linalg.norm(way)
+    width = float(np.median(track.width_px[-5:]))
+    if tube.tip.shape == "ball":
+        radius = float(np.median(np.linalg.norm(tip.contour_px - tip.px, axis=1)))
+        room = radius + 2.0
+    else:
+        room = 0.15 * width + 2.0 if tube.tip.shape == "flat" else 2.0
+    middle = edges.mean(1)
+    near = np.linalg.norm(middle - tip.px, axis=1) < 1.5 * width + room
+    keep = ~near | ((tip.px - middle) @ way > room)
+    return edges[keep], sigma[keep]
