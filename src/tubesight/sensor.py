@@ -119,8 +119,13 @@ class ShapeSensor:
         width, height = camera.size_px
         if image.shape[:2] != (height, width):
             raise Unmeasurable(Status.BAD_IMAGE, detail=f"{image.shape[1]} x {image.shape[0]}, the rig has {width} x {height}")
-        start = clamp_start(camera, self.rig.camera_from_base[name], self.tube.diameter_mm or 1.0)
-        return see(name, image, self.backgrounds.get(name), camera, self.tube, start)
+        pose, background, base_px = self.rig.camera_from_base[name], self.backgrounds.get(name), self.base_px.get(name)
+        start = None
+        if self.tube.clamped and self.tube.diameter_mm is not None:
+            start = clamp_start(camera, pose, self.tube.diameter_mm)
+        elif self.rig.registered and base_px is None:
+            base_px = camera.project(pose.translation_mm)
+        return see(name, image, background, camera, self.tube, start, base_px)
 
     def _tip_sd_mm(self, curve: Curve3D) -> float:
         tip = curve.at([curve.length_mm])[0]

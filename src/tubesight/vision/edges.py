@@ -13,12 +13,16 @@ from tubesight.vision.signal import Signal
 # Spacing of samples along a profile. Half a pixel loses nothing of a bilinear picture.
 SPACING_PX = 0.5
 # Parallel lines averaged into one profile, this far apart along the tube.
-_LINES_PX = (-1.5, -0.5, 0.5, 1.5)
+LINES_PX = (-1.5, -0.5, 0.5, 1.5)
 # Plateaus of the half level: this far inside and outside of the edge for a sharp picture (limb shading makes the inside
 # rise within pixels, gamma and sharpening disturb the outside), and this many sigmas for a blurred one.
 _INSIDE_PX, _OUTSIDE_PX = 1.0, 2.5
-_INSIDE_SIGMAS, _OUTSIDE_SIGMAS = 2.0, 3.0
+_INSIDE_SIGMAS, _OUTSIDE_SIGMAS = 1.0, 3.0
 _PASSES = 2
+# Cameras and JPEG record colour at half resolution, so edges are measured by brightness first; where tube and background
+# are equally bright colour has to help. Both are tried and the smoother edge is taken.
+_CHROMA = (1 / 3, 1.0)
+_LUMA_BGR = np.array([0.114, 0.587, 0.299])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,8 +66,99 @@ def profiles(signal: Signal, origin_px: Array, direction: Array, along: Array) -
     """
     side = left_of(direction)
     points = origin_px[:, None, :] + along[:, None] * direction[:, None, :]
-    shifted = [points + offset * side[:, None, :] for offset in _LINES_PX]
+    shifted = [points + offset * side[:, None, :] for offset in LINES_PX]
     return np.asarray(np.mean([signal(p) for p in shifted], axis=0))
+
+
+def measure_edges(
+    signal: Signal, origin_px: Array, direction: Array, along: Array, guess_px: Array, lines_px: tuple[float, ...] = LINES_PX
+) -> Edges:
+    """Measure falling edges on neighbouring profiles with the colours just inside and outside of each.
+
+    Parameters
+    ----------
+    origin_px, direction
+        (N, 2) each, in order along the contour.
+    along
+        (L,) distances from the origin.
+    guess_px
+        (N,) first guess of the edges; NaN where there is none.
+    lines_px
+        Offsets of the parallel lines that are averaged.
+    """
+    side = left_of(direction)
+    points = origin_px[:, None, :] + along[:, None] * direction[:, None, :]
+    samples = [signal.colours(points + offset * side[:, None, :]) for offset in lines_px]
+    colour = np.mean([c for c, _ in samples], axis=0)
+    behind = None if signal.background is None else np.mean([b for _, b in samples], axis=0)
+    measured = [_measure(colour, behind, along, guess_px, chroma) for chroma in (_CHROMA if colour.shape[-1] == 3 else (1.0,))]
+    return min(measured, key=_scatter)
+
+
+def _measure(colour: Array, behind: Array | None, along: Array, guess_px: Array, chroma: float) -> Edges:
+    sigma = 0.6
+    edges = Edges(guess_px, guess_px, guess_px)
+    for _ in range(_PASSES):
+        edges = refine(local_share(colour, behind, along, edges.position_px, sigma, chroma), along, edges.position_px)
+        if np.isfinite(edges.sigma_px).any():
+            sigma = float(np.nanmedian(edges.sigma_px))
+    return edges
+
+
+def _scatter(edges: Edges) -> float:
+    """How rough a row of edges is, px: median second difference, plus the share that was not found."""
+    found = np.isfinite(edges.position_px)
+    if found.sum() < 5:
+        return float("inf")
+    return float(np.median(np.abs(np.diff(edges.position_px[found], 2))) + (~found).mean())
+
+
+def local_share(
+    colour: Array, behind: Array | None, along: Array, edge_px: Array, sigma_px: float, chroma: float
+) -> Array:
+    """Share of tube from the colours T and B on both sides of an edge: ``(I - B) . (T - B) / |T - B|^2``.
+
+    T is the colour just inside of the edge and B that of the background picture, or else just outside; both are running
+    medians over neighbouring profiles. Shading moves T along the contour, and with it the direction of best contrast.
+
+    Parameters
+    ----------
+    colour, behind
+        (N, L, C) profiles in linear light, of the picture and of the background picture or None.
+    edge_px
+        (N,) places of the edges.
+    chroma
+        Weight of differences of colour against differences of brightness in the scalar product.
+    """
+    start, step = float(along[0]), float(along[1] - along[0])
+    inside, outside = max(_INSIDE_PX, _INSIDE_SIGMAS * sigma_px), max(_OUTSIDE_PX, _OUTSIDE_SIGMAS * sigma_px)
+
+    def plateau(low: Array, high: Array) -> Array:
+        means = [_mean_between(colour[..., c], start, step, low, high) for c in range(colour.shape[-1])]
+        return _running_median(np.stack(means, -1))
+
+    tube = plateau(edge_px - inside - 1.0, edge_px - inside)[:, None, :]
+    cloth = plateau(edge_px + outside, edge_px + outside + 2.0)[:, None, :] if behind is None else behind
+    contrast = _features(tube - cloth, chroma)
+    power = (contrast**2).sum(-1)
+    return np.asarray((_features(colour - cloth, chroma) * contrast).sum(-1) / np.maximum(power, 1e-7))
+
+
+def _features(colour: Array, chroma: float) -> Array:
+    """Brightness and weighted colour differences of a (..., 3) BGR colour; gray is left alone."""
+    if colour.shape[-1] == 1:
+        return colour
+    y = colour @ _LUMA_BGR
+    return np.stack([y, chroma * (colour[..., 0] - y), chroma * (colour[..., 2] - y)], -1)
+
+
+def _running_median(rows: Array) -> Array:
+    """Median over 9 neighbouring rows (N, C), NaN-safe."""
+    half = min(4, len(rows) - 1)
+    padded = np.pad(rows, ((half, half), (0, 0)), mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
+    missing = ~np.isfinite(windows).any(-1)
+    return np.asarray(np.where(missing, np.nan, np.nanmedian(np.where(missing[..., None], 0.0, windows), axis=-1)))
 
 
 def steepest(profile: Array, along: Array, sigma_px: float = 1.0) -> tuple[Array, Array]:

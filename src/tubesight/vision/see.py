@@ -10,6 +10,7 @@ from tubesight.core import Array, Image, Status, Tube, Unmeasurable
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.pose import Pose
 from tubesight.vision.edges import left_of
+from tubesight.vision.search import find_seed
 from tubesight.vision.signal import Signal
 from tubesight.vision.silhouette import choose
 from tubesight.vision.tip import find_tip
@@ -49,7 +50,7 @@ def clamp_start(camera: Camera, camera_from_base: Pose, diameter_mm: float) -> S
     return Start(px, (ahead - px) / np.linalg.norm(ahead - px), float(np.linalg.norm(one - other)))
 
 
-def see(name: str, image: Image, background: Image | None, camera: Camera, tube: Tube, start: Start) -> View:
+def see(name: str, image: Image, background: Image | None, camera: Camera, tube: Tube, start: Start | None, base_px: Array | None = None) -> View:
     """See the tube in one picture.
 
     Parameters
@@ -59,18 +60,20 @@ def see(name: str, image: Image, background: Image | None, camera: Camera, tube:
     image, background
         The picture, and the scene without the tube or None.
     start
-        Where the tube starts.
+        Where the tube starts, or None to find it in the picture.
+    base_px
+        (2,) a pixel at or nearest the base, where one is known; it tells the two ends of a free tube apart.
 
     Raises
     ------
     Unmeasurable
         If the tube, its tip or enough of it is not found.
     """
-    signal = choose(image, background, start.px, start.way, start.width_px)
-    track = walk(signal, *_first_pair(signal, start))
-    if len(track.middle_px) < 4:
-        raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="its edges are lost right after the base")
-    tip = _tip_of(signal, camera, tube, track)
+    if start is not None:
+        signal, track = _from_base(image, background, start)
+        tip = _tip_of(signal, camera, tube, track)
+    else:
+        signal, track, tip = _from_middle(image, background, camera, tube, base_px)
     edges, sigma, _ = measure(signal, track)
     edges, sigma = _before_tip(edges, sigma, tip, track, tube)
     if len(edges) < _SCANS_MIN:
@@ -83,6 +86,51 @@ def see(name: str, image: Image, background: Image | None, camera: Camera, tube:
     return View(
         name, edges, unit, middle, camera.project(middle), tip, float(np.median(sigma)), signal.why, notes
     )
+
+
+def _from_base(image: Image, background: Image | None, start: Start) -> tuple[Signal, Track]:
+    """Walk from the clamp."""
+    signal = choose(image, background, start.px, start.way, start.width_px)
+    track = walk(signal, *_first_pair(signal, start))
+    if len(track.middle_px) < 4:
+        raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="its edges are lost right after the base")
+    return signal, track
+
+
+def _from_middle(
+    image: Image, background: Image | None, camera: Camera, tube: Tube, base_px: Array | None
+) -> tuple[Signal, Track, TipView]:
+    """Find the tube, walk from its middle to both ends, and take for the tip the end that looks like one.
+
+    Where both do, the base is the end nearer to `base_px`, or else the upper one.
+    """
+    seed = find_seed(image, background)
+    signal = choose(image, background, seed.px, seed.way, seed.width_px)
+    found = find_pair(signal, seed.px, seed.way, seed.width_px, known_width=False)
+    if found is None:
+        raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="what stands out has no two parallel edges")
+    ahead, behind = (walk(signal, found[0], way, found[1]) for way in (seed.way, -seed.way))
+    forward = Track(
+        np.concatenate([behind.middle_px[:0:-1], ahead.middle_px]),
+        np.concatenate([behind.width_px[:0:-1], ahead.width_px]),
+        behind.gaps + ahead.gaps,
+    )
+    if len(forward.middle_px) < 4:
+        raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="the edges of what stands out are soon lost")
+    backward = Track(forward.middle_px[::-1], forward.width_px[::-1], forward.gaps)
+    hint = np.array([np.nan, -1e9]) if base_px is None else base_px
+    tracks = sorted((forward, backward), key=lambda t: _distance(t.middle_px[0], hint))
+    failure = Unmeasurable(Status.TIP_NOT_FOUND)
+    for track in tracks:
+        try:
+            return signal, track, _tip_of(signal, camera, tube, track)
+        except Unmeasurable as caught:
+            failure = caught
+    raise failure
+
+
+def _distance(a: Array, b: Array) -> float:
+    return float(np.sqrt(np.nansum((a - b) ** 2)))
 
 
 def _first_pair(signal: Signal, start: Start) -> tuple[Array, Array, float]:

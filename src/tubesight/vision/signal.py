@@ -2,8 +2,10 @@
 
 All segmenters are one formula: with the colours T of the tube and B of the background in linear light, a pixel I that is tube
 to the share a is ``I = a T + (1 - a) B``, so ``a = w . (I - B) / w . (T - B)`` for any direction w. Fisher's discriminant
-``w = M^-1 (T - B)`` takes the direction in which shading and shadows, which scale colours, matter least. They differ in where
-B comes from: a picture of the empty scene, or the surroundings of the tube.
+``w = M^-1 (T - B)`` takes the direction in which shading and shadows, which scale colours, matter least. Segmenters differ in
+where B comes from: a picture of the empty scene, or the surroundings of the tube.
+
+This signal finds the tube; edges are measured with the colours just inside and outside of each (`edges.local_share`).
 """
 
 from __future__ import annotations
@@ -82,10 +84,14 @@ class Signal:
         for name in ("tube", "cloth", "gain"):
             object.__setattr__(self, name, readonly(getattr(self, name), (None,), name))
 
+    def colours(self, points_px: Array) -> tuple[Array, Array | None]:
+        """Colours (..., C) at points (..., 2) and, where there is a picture of it, of the background behind them."""
+        return sample(self.image, points_px), None if self.background is None else sample(self.background, points_px) * self.gain
+
     def __call__(self, points_px: Array) -> Array:
         """Share of tube (...) at points (..., 2); NaN outside the picture."""
-        colour = sample(self.image, points_px)
-        behind = self.cloth if self.background is None else sample(self.background, points_px) * self.gain
+        colour, behind = self.colours(points_px)
+        behind = self.cloth if behind is None else behind
         contrast = self.tube - behind
         weight = _discriminant(contrast, np.broadcast_to(self.tube, contrast.shape), behind)
         # Where the background has the tube's own colour the share is not observable: it tends to 0, not to noise.
@@ -95,9 +101,9 @@ class Signal:
 
 def _discriminant(contrast: Array, tube: Array, behind: Array) -> Array:
     """Fisher's direction ``M^-1 (T - B)``, ``M = noise^2 I + (shading T)(shading T)^T + (shading B)(shading B)^T``."""
-    spread = np.stack([tube, behind], -1) * (_SHADING / _NOISE)
     if contrast.shape[-1] == 1:
         return contrast
+    spread = np.stack([tube, np.broadcast_to(behind, tube.shape)], -1) * (_SHADING / _NOISE)
     # Woodbury: (I + S S^T)^-1 c = c - S (I + S^T S)^-1 S^T c, a 2 x 2 system per point.
     gram = np.einsum("...ci,...cj->...ij", spread, spread) + np.eye(2)
     right = np.einsum("...ci,...c->...i", spread, contrast)

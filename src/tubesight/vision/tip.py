@@ -6,7 +6,7 @@ import numpy as np
 
 from tubesight.core import Array, Status, Tip, Unmeasurable
 from tubesight.geometry.camera import Camera
-from tubesight.vision.edges import SPACING_PX, left_of, profiles, refine, steepest
+from tubesight.vision.edges import SPACING_PX, left_of, measure_edges, profiles, steepest
 from tubesight.vision.signal import Signal
 from tubesight.vision.view import TipView
 
@@ -19,6 +19,8 @@ _RADIUS_OFF, _SEEN_MIN = 0.25, 0.5
 # Largest accepted rms of the contour about the model: a contour that is something else is off by a pixel and more.
 _RMS_MAX_PX = 1.0
 _SHARE = 0.5
+# Share of the width to both sides of the middle over which a flat face is measured: beyond, its corners round it off.
+_FACE_WIDTHS = 0.42
 
 
 def end_of_tube(signal: Signal, camera: Camera, start_px: Array, way: Array, bend: float, width_px: float, reach_px: float) -> float:
@@ -77,7 +79,9 @@ def find_tip(signal: Signal, camera: Camera, tip: Tip, start_px: Array, way: Arr
     end_px = start_px + end * way + bend * end**2 / 2 * left_of(way)
     if tip.shape == "flat":
         return _flat(signal, camera, end_px, heading, width_px)
-    half = np.pi - np.arcsin(min(1 / ball_ratio, 1.0)) - np.radians(12.0) if tip.shape == "ball" else _ROUND_HALF_RAD
+    if tip.shape == "round":
+        return _round(signal, camera, end_px, heading, width_px / 2)
+    half = np.pi - np.arcsin(min(1 / ball_ratio, 1.0)) - np.radians(12.0)
     return _ball(signal, camera, end_px - radius * heading, heading, radius, half)
 
 
@@ -92,8 +96,7 @@ def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius:
         low, high = (0.5, 1.5) if sweep == 0 else (0.7, 1.3)
         along = np.arange(low * radius - 4.0, high * radius + 10.0, SPACING_PX)
         profile = profiles(signal, np.broadcast_to(centre, directions.shape), directions, along)
-        guess = _outermost(profile, along, radius)
-        edges = refine(profile, along, guess)
+        edges = measure_edges(signal, np.broadcast_to(centre, directions.shape), directions, along, _outermost(profile, along, radius))
         good = np.isfinite(edges.position_px)
         if good.sum() < max(8, _SEEN_MIN * len(angles)):
             raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its contour does not stand out")
@@ -106,6 +109,41 @@ def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius:
     if len(contour) < _SEEN_MIN * len(angles):
         raise Unmeasurable(Status.TIP_NOT_FOUND, detail="too little of its contour is round")
     return _cone_of_tangents(camera, contour)
+
+
+def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius: float) -> TipView:
+    """Centre of a rounded end: on the way of the tube, one radius behind its contour.
+
+    The width and the way are those of the tube's edges; only the place along the way is taken from the end's contour, from
+    as much of it on the lit as on the shaded side.
+    """
+    angles = np.linspace(-_ROUND_HALF_RAD, _ROUND_HALF_RAD, 41)
+    directions = np.cos(angles)[:, None] * heading + np.sin(angles)[:, None] * left_of(heading)
+    along = np.arange(0.4 * radius - 4.0, 1.6 * radius + 10.0, SPACING_PX)
+    place = -radius
+    contour, off = np.empty((0, 2)), np.empty(0)
+    for _ in range(4):
+        centre = end_px + place * heading
+        origins = np.broadcast_to(centre, directions.shape)
+        profile = profiles(signal, origins, directions, along)
+        edges = measure_edges(signal, origins, directions, along, _outermost(profile, along, radius))
+        off = edges.position_px - radius
+        pairs = np.isfinite(off) & np.isfinite(off[::-1]) & (np.abs(off) < 0.5 * radius + 1)
+        pairs &= pairs[::-1]
+        if pairs.sum() < _SEEN_MIN * len(angles):
+            raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its contour does not stand out")
+        contour = (centre + directions * edges.position_px[:, None])[pairs]
+        weight = np.cos(angles[pairs])
+        shift = float(weight @ off[pairs] / (weight @ weight))
+        off = off[pairs] - shift * weight
+        place += shift
+    rms = float(np.sqrt(np.mean(off**2)))
+    if rms > _RMS_MAX_PX + 0.05 * radius:
+        raise Unmeasurable(Status.TIP_NOT_FOUND, detail=f"its end is not round (rms {rms:.1f} px)")
+    px = end_px + place * heading
+    ray = camera.unproject(px)
+    angle = float(np.arctan(radius / camera.focal_px / np.linalg.norm(ray)))
+    return TipView(ray / np.linalg.norm(ray), px, angle, contour, rms)
 
 
 def _outermost(profile: Array, along: Array, radius: float) -> Array:
@@ -159,11 +197,11 @@ def _cone_of_tangents(camera: Camera, contour: Array) -> TipView:
 def _flat(signal: Signal, camera: Camera, end_px: Array, heading: Array, width_px: float) -> TipView:
     """Middle of a flat end face: its contour is half an ellipse, ``a(d) = a0 + bulge sqrt(1 - (2 d / width)^2)``."""
     left = left_of(heading)
-    offsets = np.linspace(-0.42, 0.42, 21)
+    offsets = np.linspace(-_FACE_WIDTHS, _FACE_WIDTHS, 31)
     origins = end_px + offsets[:, None] * width_px * left
     along = np.arange(-0.6 * width_px - 6.0, 0.6 * width_px + 10.0, SPACING_PX)
     profile = profiles(signal, origins, np.broadcast_to(heading, origins.shape), along)
-    edges = refine(profile, along, _outermost(profile, along, 0.0))
+    edges = measure_edges(signal, origins, np.broadcast_to(heading, origins.shape), along, _outermost(profile, along, 0.0), (0.0,))
     good = np.isfinite(edges.position_px)
     if good.sum() < 10:
         raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its end face does not stand out")

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tubesight.core import Array
-from tubesight.vision.edges import SPACING_PX, left_of, profiles, refine, steepest
+from tubesight.vision.edges import SPACING_PX, Edges, left_of, measure_edges, profiles, refine, steepest
 from tubesight.vision.signal import Signal
 
 # A step longer than 1.6 half-widths loses the tube at its bends; half a width leaves room.
@@ -182,13 +182,19 @@ def measure(signal: Signal, track: Track) -> tuple[Array, Array, Array]:
     half = np.interp(s, chord, track.width_px) / 2
     reach = float(half.max()) + 2 * _MARGIN_PX
     along = np.arange(0.0, reach, SPACING_PX)
-    found = [refine(profiles(signal, middle, side, along), along, half) for side in (left, -left)]
+    found = [_side(signal, middle, side, along, half) for side in (left, -left)]
     offset = np.stack([e.position_px for e in found], 1)
     edges = np.stack([middle + left * offset[:, :1], middle - left * offset[:, 1:]], 1)
     drop = np.stack([e.drop for e in found], 1)
     good = np.isfinite(offset).all(1) & (np.nan_to_num(drop) > _DROP_MIN).all(1)
     good[good] = _in_line(s[good], offset[good])
     return edges[good], np.stack([e.sigma_px for e in found], 1)[good], drop[good]
+
+
+def _side(signal: Signal, middle: Array, side: Array, along: Array, half: Array) -> Edges:
+    """Edges on one side: found with the signal of the walk, measured with the colours at hand."""
+    found = refine(profiles(signal, middle, side, along), along, half)
+    return measure_edges(signal, middle, side, along, np.where(np.isfinite(found.position_px), found.position_px, half))
 
 
 def _in_line(s: Array, offset: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

@@ -1,0 +1,59 @@
+"""``tubesight``: the command line."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Annotated
+
+import typer
+
+from tubesight import __version__
+from tubesight.core.errors import InputError
+
+app = typer.Typer(
+    name="tubesight",
+    help="3-D shape of catheters, continuum robots and other slender tubes from two or more calibrated cameras.",
+    epilog="Start with `tubesight demo`. Research use only, not a medical device.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"tubesight {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and leave.")
+    ] = False,
+) -> None:
+    pass
+
+
+# The commands by the order in which one meets them.
+for _name in ("demo", "calibrate", "register", "run", "evaluate", "methods"):
+    try:
+        _module = importlib.import_module(f"tubesight.cli.{_name}")
+    except ModuleNotFoundError:
+        continue
+    app.command(_name, cls=getattr(_module, "RunCommand", None))(_module.command)
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the command line: exit code 0, 1 for bad input, 2 for wrong usage, 130 when interrupted."""
+    try:
+        app(args, prog_name="tubesight")
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
+
+
+if __name__ == "__main__":
+    main()

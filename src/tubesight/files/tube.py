@@ -1,0 +1,43 @@
+"""``tube.yaml``: what the user knows of the tube."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Literal
+
+from pydantic import PositiveFloat
+
+from tubesight.core import InputError, Tip, Tube
+from tubesight.files.safe import Strict, load_yaml, refuse
+
+
+class _TipFile(Strict):
+    shape: Literal["ball", "round", "flat"]
+    diameter_mm: PositiveFloat | None = None
+
+
+class _TubeFile(Strict):
+    diameter_mm: PositiveFloat | None = None
+    tip: _TipFile = _TipFile(shape="round")
+    clamped: bool = False
+
+
+def load_tube(path: Path) -> Tube:
+    """Read ``tube.yaml``; raise `InputError` where it does not describe a tube.
+
+    A round or flat end has the tube's own diameter: it may be repeated in the file, but not differ.
+    """
+    file = load_yaml(path, _TubeFile)
+    tip_mm = file.tip.diameter_mm
+    if file.tip.shape != "ball" and tip_mm is not None:
+        if file.diameter_mm is None or not math.isclose(tip_mm, file.diameter_mm, rel_tol=1e-3):
+            raise InputError(
+                f"{path}: tip.diameter_mm: a {file.tip.shape} end has the tube's own diameter; remove the key, "
+                "or write 'shape: ball'"
+            )
+        tip_mm = None
+    try:
+        return Tube(file.diameter_mm, Tip(file.tip.shape, tip_mm), file.clamped)
+    except ValueError as error:
+        refuse(path, error)

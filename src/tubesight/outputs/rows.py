@@ -1,0 +1,68 @@
+"""Reconstructions as rows of ``shapes.csv`` and curves of ``curves.npz``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tubesight.core import Status
+from tubesight.files.tables import Curves, ShapeRow
+from tubesight.geometry.curve import Curve3D
+from tubesight.sensor import Reconstruction
+
+# Points of a stored curve: at 160 mm one each 1.6 mm, where the chord of a 50 mm radius is 0.006 mm off the arc.
+CURVE_POINTS = 101
+
+
+def shape_row(result: Reconstruction, time_s: float = float("nan")) -> ShapeRow:
+    """Turn a reconstruction into its row; anything but ``ok`` has no numbers."""
+    shape = result.shape
+    notes = "; ".join(result.notes)
+    if not result or shape is None:
+        return ShapeRow(
+            result.frame,
+            time_s=time_s,
+            status=str(result.status),
+            notes=notes or result.status.advice,
+            method=result.method,
+            total_ms=result.total_ms,
+        )
+    sd = shape.sd
+    return ShapeRow(
+        frame=result.frame,
+        time_s=time_s,
+        status=str(result.status),
+        notes=notes,
+        tip_x_mm=float(shape.tip_mm[0]),
+        tip_y_mm=float(shape.tip_mm[1]),
+        tip_z_mm=float(shape.tip_mm[2]),
+        bending_deg=math.degrees(shape.bending_rad),
+        orientation_deg=math.degrees(shape.orientation_rad),
+        length_mm=shape.length_mm,
+        curvature_per_mm=shape.curvature_per_mm,
+        tip_x_sd_mm=sd["tip_x"],
+        tip_y_sd_mm=sd["tip_y"],
+        tip_z_sd_mm=sd["tip_z"],
+        bending_sd_deg=math.degrees(sd["bending"]),
+        orientation_sd_deg=math.degrees(sd["orientation"]),
+        length_sd_mm=sd["length"],
+        curvature_sd_per_mm=sd["curvature"],
+        fit_rms_px=result.fit_rms_px,
+        model=result.curve.model if result.curve is not None else "",
+        method=result.method,
+        total_ms=result.total_ms,
+    )
+
+
+def unreadable_row(frame: str, reason: str, method: str) -> ShapeRow:
+    """Row of a pair whose pictures could not be read."""
+    return ShapeRow(frame, status=str(Status.BAD_IMAGE), notes=reason, method=method)
+
+
+def curves_of(found: Sequence[tuple[str, Curve3D]]) -> Curves:
+    """Sample curves, given with their frames, at equal arc lengths."""
+    s = np.array([np.linspace(0.0, curve.length_mm, CURVE_POINTS) for _, curve in found]).reshape(-1, CURVE_POINTS)
+    xyz = np.array([curve.at(row) for (_, curve), row in zip(found, s, strict=True)]).reshape(-1, CURVE_POINTS, 3)
+    return Curves(tuple(frame for frame, _ in found), s, xyz, np.full_like(s, np.nan))

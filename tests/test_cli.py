@@ -1,0 +1,256 @@
+"""The commands as a user meets them: what they print, write and exit with."""
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from small_set import PHANTOMS, write_small_set
+from tubesight import __version__
+from tubesight.cli.main import main
+from tubesight.files.safe import InputError
+from tubesight.files.tables import COLUMNS, read_curves, read_shapes, write_curves, write_shapes
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_small_set(tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="module")
+def out(data: Path) -> Path:
+    """Results of one run with overlays, for the tests that read them."""
+    assert run_in_process(*run_args(data, data / "out"), "--overlay") == 0
+    return data / "out"
+
+
+def run_args(data: Path, out: Path) -> list[str]:
+    return [
+        "run",
+        str(data / "photos"),
+        "--rig",
+        str(data / "rig.yaml"),
+        "--tube",
+        str(data / "tube.yaml"),
+        "-o",
+        str(out),
+    ]
+
+
+def run_in_process(*args: str | Path) -> int:
+    with pytest.raises(SystemExit) as left:
+        main([str(arg) for arg in args])
+    return int(left.value.code or 0)
+
+
+def test_version_and_help_answer_at_once() -> None:
+    program = Path(sys.executable).with_name("tubesight")
+    done = subprocess.run([program, "--version"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, f"tubesight {__version__}\n")
+    for module in ("cv2", "scipy", "pydantic", "numba"):
+        script = f"import sys; import tubesight.cli.main; sys.exit({module!r} in sys.modules)"
+        assert subprocess.run([sys.executable, "-c", script]).returncode == 0, f"--help waits for {module}"
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_in_process("--help") == 0
+    text = capsys.readouterr().out
+    for name in ("run", "evaluate", "methods"):
+        assert re.search(rf"^│ {name} ", text, re.MULTILINE)
+    assert "not a medical device" in text
+
+
+def test_run_writes_everything(data: Path, out: Path) -> None:
+    names = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
+    overlays = [f"overlay/{frame}.png" for frame in PHANTOMS]
+    assert names == sorted(["curves.npz", "run.json", "shapes.csv", "shapes.png", *overlays])
+    with (out / "shapes.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    assert [row["frame"] for row in rows] == ["1", "2", "10"]
+    assert {row["status"] for row in rows} == {"ok"}
+    assert rows[1]["orientation_deg"] == "" and rows[1]["bending_deg"] != "", "a straight tube has no orientation"
+    run = json.loads((out / "run.json").read_text())
+    assert run["configuration"]["method"] == rows[0]["method"]
+    assert run["version"] == __version__ and len(run["rig"]["sha256"]) == 64 and run["machine"]["python"]
+    assert run["configuration"]["tube"]["tip"] == {"shape": "ball", "diameter_mm": 16.0}
+
+
+def test_curves_go_from_base_to_tip(out: Path) -> None:
+    curves = read_curves(out / "curves.npz")
+    rows = read_shapes(out / "shapes.csv")
+    assert curves.frame == tuple(row.frame for row in rows)
+    tips = [[row.tip_x_mm, row.tip_y_mm, row.tip_z_mm] for row in rows]
+    # The table has seven significant digits.
+    assert np.allclose(curves.xyz_mm[:, -1], tips, rtol=0, atol=1e-4)
+    assert np.allclose(curves.s_mm[:, -1], [row.length_mm for row in rows], rtol=1e-6)
+    steps = np.linalg.norm(np.diff(curves.xyz_mm, axis=1), axis=2)
+    # Chords of 1.5 mm on a radius of 140 mm are 7e-6 mm short of their arcs.
+    assert np.allclose(steps, np.diff(curves.s_mm, axis=1), rtol=0, atol=1e-4)
+
+
+def test_run_measures_the_simulated_tube(data: Path, out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_in_process("evaluate", out, "--truth", data / "truth.json", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["n"], result["failures"], result["without_row"], result["without_truth"]) == (3, 0, [], [])
+    # Edges good to 0.1 px at 1.8 px/mm, times the two or three that a tip rests on.
+    assert result["max"]["tip_mm"] < 0.2
+    assert result["max"]["curve_mm"] < 0.2
+    assert result["frames"]["2"]["orientation_deg"] is None
+
+
+def test_overlay_shows_the_photographs_with_the_curve(data: Path, out: Path) -> None:
+    picture = cv2.imread(str(out / "overlay" / "1.png"))
+    plain = cv2.imread(str(data / "photos" / "left" / "1.png"))
+    assert picture.shape[1] == 2 * 960 and picture.shape[0] > 96 + 540
+    shown = picture[96 : 96 + 540, :960]
+    magenta = np.array([230, 60, 255])
+    assert (np.abs(shown.astype(int) - magenta).max(-1) < 40).sum() > 100
+    assert np.median(np.abs(shown.astype(int) - plain)) == 0
+
+
+def test_run_says_what_it_assumes_and_chooses(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    args = run_args(data, tmp_path / "out")
+    del args[args.index("--tube") : args.index("--tube") + 2]
+    run_in_process(*args)
+    captured = capsys.readouterr()
+    assert "no tube file: the diameter is estimated" in captured.err
+    assert "no covariance: deviations cover the pictures alone" in captured.err
+    assert re.search(r"left: .+ \(\d of 3 pairs\)", captured.err)
+
+
+def test_json_leaves_stdout_to_json(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_in_process(*run_args(data, tmp_path), "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [row["frame"] for row in result["rows"]] == ["1", "2", "10"]
+    assert result["rows"][1]["orientation_deg"] is None
+    assert all(Path(path).is_file() for path in result["files"])
+
+
+def test_background_is_used_where_there_is_one(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_in_process(*run_args(data, tmp_path / "a"), "--background", data / "background") == 0
+    assert "background pictures of left, right" in capsys.readouterr().err
+    shutil.copytree(data / "photos", tmp_path / "photos")
+    shutil.copytree(data / "background", tmp_path / "photos" / "background")
+    args = run_args(data, tmp_path / "b")
+    assert run_in_process(args[0], tmp_path / "photos", *args[2:]) == 0
+    assert "background pictures of left, right" in capsys.readouterr().err
+
+
+def test_unreadable_picture_among_many_gets_its_row(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(data / "photos", tmp_path / "photos")
+    broken = tmp_path / "photos" / "right" / "2.png"
+    broken.write_bytes(broken.read_bytes()[:5000])
+    args = run_args(data, tmp_path / "out")
+    assert run_in_process(args[0], tmp_path / "photos", *args[2:]) == 1
+    assert f"error: {broken}: the picture cannot be used (cut off)" in capsys.readouterr().err
+    rows = read_shapes(tmp_path / "out" / "shapes.csv")
+    assert [(row.frame, row.status) for row in rows] == [("1", "ok"), ("2", "bad_image"), ("10", "ok")]
+    assert np.isnan(rows[1].tip_x_mm) and str(broken) in rows[1].notes
+
+
+def test_run_without_any_shape_exits_with_1(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("left", "right"):
+        (tmp_path / "photos" / name).mkdir(parents=True)
+        cv2.imwrite(str(tmp_path / "photos" / name / "1.png"), np.full((540, 960, 3), 90, np.uint8))
+    args = run_args(data, tmp_path / "out")
+    assert run_in_process(args[0], tmp_path / "photos", *args[2:], "--overlay") == 1
+    (row,) = read_shapes(tmp_path / "out" / "shapes.csv")
+    assert row.status != "ok" and row.notes
+    assert (tmp_path / "out" / "overlay" / "1.png").is_file()
+
+
+def test_base_takes_as_many_places_as_follow_it(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    args = run_args(data, tmp_path / "out")
+    places = ["--base", "left:480.5,40", "right:470,42"]
+    run_in_process(args[0], *places, *args[1:])
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert run["configuration"]["base_px"] == {"left": [480.5, 40.0], "right": [470.0, 42.0]}
+    capsys.readouterr()
+    assert run_in_process(*args, "--base", "left=3,4") == 2
+    assert "left:960,52" in capsys.readouterr().err
+    assert run_in_process(*args, "--base", "top:3,4") == 1
+    assert "--base names camera 'top', but the rig has left, right" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("args", "expected"),
+    [
+        (["run"], "Missing argument"),
+        (["run", "x", "-o", "y"], "--rig"),
+        (["run", "x", "--rig", "r", "-o", "y", "--method", "cone_rai"], "did you mean 'cone_ray'?"),
+        (["rum"], "rum"),
+        (["run", "x", "--rgi", "r"], "--rgi"),
+    ],
+)
+def test_wrong_usage_exits_with_2(args: list[str], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_in_process(*args) == 2
+    assert expected in re.sub(r"[\s│]+", " ", capsys.readouterr().err)
+
+
+def test_evaluate_counts_what_cannot_be_compared(
+    data: Path, out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = read_shapes(out / "shapes.csv")
+    failed = [type(rows[0])("1", status="tip_not_found"), *rows[1:2], type(rows[0])("11", status="ok")]
+    write_shapes(tmp_path / "shapes.csv", failed)
+    write_curves(tmp_path / "curves.npz", read_curves(out / "curves.npz"))
+    assert run_in_process("evaluate", tmp_path, "--truth", data / "truth.json", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["n"], result["failures"]) == (2, 1)
+    assert (result["without_row"], result["without_truth"]) == (["10"], ["11"])
+    assert result["frames"]["1"]["tip_mm"] is None and result["max"]["tip_mm"] < 0.2
+    assert run_in_process("evaluate", tmp_path, "--truth", data / "truth.json") == 0
+    text = capsys.readouterr().out
+    assert "2 frames, 1 of them without a shape" in text
+    assert "frames without a row: 10" in text and "frames without a truth: 11" in text
+
+
+def test_evaluate_wraps_the_orientation(data: Path, out: Path, tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    from tubesight.apps.evaluate import evaluate
+
+    truth = json.loads((data / "truth.json").read_text())
+    truth["frames"] = [truth["frames"][0] | {"phi": 359.0, "tip": [1.0, 2.0, 3.0]}]
+    (tmp_path / "truth.json").write_text(json.dumps(truth))
+    row = replace(read_shapes(out / "shapes.csv")[0], orientation_deg=2.5, tip_x_mm=2.0, tip_y_mm=4.0, tip_z_mm=1.0)
+    write_shapes(tmp_path / "shapes.csv", [row])
+    write_curves(tmp_path / "curves.npz", read_curves(out / "curves.npz"))
+    error = evaluate(tmp_path, tmp_path / "truth.json").frames["1"]
+    assert error.orientation_deg == pytest.approx(3.5)
+    assert (error.tip_x_mm, error.tip_y_mm, error.tip_z_mm, error.tip_mm) == (1.0, 2.0, -2.0, 3.0)
+
+
+def test_distance_to_a_polyline() -> None:
+    from tubesight.apps.evaluate import distance_to_polyline
+
+    line = np.array([[0, 0, 0], [0, 0, 10], [0, 10, 10]], float)
+    points = np.array([[3, 0, 5], [0, 0, -4], [0, 5, 12], [0, 13, 14], [0, 1, 9]], float)
+    assert np.allclose(distance_to_polyline(points, line), [3, 4, 2, 5, 1])
+
+
+def test_methods_cites_its_sources(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_in_process("methods") == 0
+    assert "Dalvand" in capsys.readouterr().out
+    assert run_in_process("methods", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["methods"]["cone_ray"]["traits"]
+
+
+def test_input_errors_are_one_line(tmp_path: Path) -> None:
+    """As the shell sees it: no traceback, exit code 1."""
+    program = Path(sys.executable).with_name("tubesight")
+    args = ["run", str(tmp_path), "--rig", str(tmp_path / "rig.yaml"), "-o", str(tmp_path / "out")]
+    done = subprocess.run([program, *args], capture_output=True, text=True)
+    assert done.returncode == 1 and done.stdout == ""
+    assert re.fullmatch(rf"error: {re.escape(str(tmp_path))}/rig.yaml: no such file; [^\n]*\n", done.stderr)
+    assert issubclass(InputError, ValueError)
