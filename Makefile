@@ -44,7 +44,7 @@ test: lint
 	$(BIN)/pytest -n $(WORKERS)
 
 docs: $(INSTALLED)
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 format: $(INSTALLED)
 	$(BIN)/ruff check --fix src tests

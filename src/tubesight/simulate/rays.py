@@ -99,7 +99,7 @@ def directions(camera: Camera, window: Window) -> Array:
 def slopes(values: Array) -> tuple[Array, Array]:
     """Differences by row and by column of values over a window (rows, columns, ...)."""
     down, across = np.gradient(values, axis=(0, 1))
-    return down, across
+    return np.asarray(down), np.asarray(across)
 
 
 def dot(a: Array, b: Array) -> Array:

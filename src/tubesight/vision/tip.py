@@ -15,10 +15,15 @@ _RADIALS = 72
 # Rays of a rounded end are used this far to both sides of the way: its contour is half a circle.
 _ROUND_HALF_RAD = np.radians(85.0)
 # How far a ball's radius may be off its expectation, and the share of radials that have to find an edge.
-_RADIUS_OFF, _SEEN_MIN = 0.25, 0.5
+_RADIUS_OFF, _SEEN_MIN = 0.25, 0.4
 # Largest accepted rms of the contour about the model: a contour that is something else is off by a pixel and more.
 _RMS_MAX_PX = 1.0
+# End of the tube: its share falls below this part of its level.
 _SHARE = 0.5
+# Fall of the tube's share under which an edge is noise.
+_DROP_MIN = 0.15
+# Contour points farther off the circle than this share of its radius (and half a pixel) belong to something else.
+_OFF_CIRCLE = 0.06
 # Share of the width to both sides of the middle over which a flat face is measured: beyond, its corners round it off.
 _FACE_WIDTHS = 0.42
 
@@ -149,7 +154,10 @@ def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius
 def _outermost(profile: Array, along: Array, radius: float) -> Array:
     """Place (N,) of the fall nearest the expected radius, among the strong ones of each profile."""
     smooth, slope = steepest(profile, along)
-    strong = slope >= 0.5 * slope.max(1, keepdims=True)
+    reach = int(3.0 / SPACING_PX)
+    padded = np.pad(smooth, ((0, 0), (reach, reach)), mode="edge")
+    falls = padded[:, : -2 * reach] - padded[:, 2 * reach :] > _DROP_MIN
+    strong = (slope >= 0.5 * slope.max(1, keepdims=True)) & falls
     peak = np.zeros_like(strong)
     peak[:, 1:-1] = strong[:, 1:-1] & (slope[:, 1:-1] > slope[:, :-2]) & (slope[:, 1:-1] >= slope[:, 2:])
     distance = np.where(peak, np.abs(along - radius), np.inf)
@@ -167,7 +175,7 @@ def _circle(points: Array) -> tuple[Array, float, Array]:
         centre = solution[:2]
         radius = float(np.sqrt(max(solution[2] + centre @ centre, 0.0)))
         off = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
-        keep = off <= max(0.5, 4 * 1.4826 * float(np.median(off)))
+        keep = off <= np.clip(4 * 1.4826 * float(np.median(off)), 0.5, 0.5 + _OFF_CIRCLE * radius)
     return centre, radius, keep
 
 
