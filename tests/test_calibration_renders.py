@@ -58,7 +58,7 @@ def render(
     eye: Lens, board: Board, camera_from_board: Pose, rng: np.random.Generator, *, noise=2.0, blur=0.6, gamma=True
 ) -> Image:
     """Gray picture of a board (white corner squares at x = 0 for a chessboard of even columns and odd rows)."""
-    cell = 60
+    cell = 84  # whole texture pixels per bit of a 10 mm marker of 6 bits on 14 mm squares
     texture = _texture(board, cell)
     # Board frames: see the file formats. The texture's (0, 0) is one square outside the board's outer corner.
     first = 1.0 if board.type == "chessboard" else 0.0

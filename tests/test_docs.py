@@ -17,6 +17,7 @@ from tubesight.files.registration import load_points, load_registration
 from tubesight.files.rig import load_rig
 from tubesight.files.tables import COLUMNS
 from tubesight.files.tube import load_tube
+from tubesight.sensor import DEFAULT_METHOD
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -89,6 +90,7 @@ def test_every_command_status_and_column_is_documented() -> None:
         assert f"`tubesight {name}" in commands
     for option in (o for parameter in COMMANDS["run"].params for o in parameter.opts if o.startswith("--")):
         assert option == "--help" or f"`{option}`" in commands
+    assert f"| one of `tubesight methods` | `{DEFAULT_METHOD}` |" in commands
     for column in COLUMNS:
         assert f"`{column}`" in files
     for code in Status:

@@ -240,6 +240,62 @@ def test_hostile_yaml_is_refused(tmp_path: Path, text: str, expected: str) -> No
     assert len(message) < len(str(path)) + 300
 
 
+REGISTRATION = "units: mm\nviews:\n- image: a.png\n  base_from_board: [[1,0,0,5],[0,1,0,6],[0,0,1,7],[0,0,0,1]]\n"
+POINTS = "name, x_mm, y_mm, z_mm, left_x_px, left_y_px\np1,1,2,3,10,20\n"
+SPLICES = [
+    "",
+    "null",
+    "-1",
+    "1e999",
+    "[]",
+    "{}",
+    "[1, 2]",
+    "true",
+    ".nan",
+    "'",
+    '"',
+    "\t",
+    ": ",
+    "- ",
+    "\n",
+    "&a *a",
+    "!!int x",
+    "\u2028",
+]
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    case=st.sampled_from(
+        [
+            (load_rig, RIG),
+            (load_board, BOARD),
+            (load_tube, TUBE),
+            (load_registration, REGISTRATION),
+            (load_points, POINTS),
+        ]
+    ),
+    at=st.floats(0, 1),
+    length=st.integers(0, 12),
+    splice=st.sampled_from(SPLICES) | st.text(max_size=8),
+)
+def test_spoilt_files_load_or_are_refused_in_one_line(
+    tmp_path_factory: pytest.TempPathFactory,
+    case: tuple[Callable[[Path], Any], str],
+    at: float,
+    length: int,
+    splice: str,
+) -> None:
+    loader, text = case
+    start = int(at * len(text))
+    path = tmp_path_factory.getbasetemp() / "spoilt"
+    path.write_text(text[:start] + splice + text[start + length :], encoding="utf-8", errors="ignore")
+    try:
+        loader(path)
+    except InputError as error:
+        assert "\n" not in str(error) and str(path) in str(error)
+
+
 def test_missing_files_come_with_a_suggestion(tmp_path: Path) -> None:
     written(tmp_path / "board.yaml", BOARD)
     for name, expected in (

@@ -14,7 +14,7 @@ from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.shape import Shape, shape_of
 from tubesight.methods import METHODS
-from tubesight.methods.cone_ray import reprojection_rms_px
+from tubesight.methods.agreement import reprojection_rms_px
 from tubesight.vision.see import clamp_start, see
 from tubesight.vision.view import View
 

@@ -18,14 +18,13 @@ from tubesight import __version__
 from tubesight.core import Array, FramePair, Image, InputError, Status, Tube
 from tubesight.files.rig import load_rig, rig_hash
 from tubesight.files.safe import write_atomic
-from tubesight.files.tables import ShapeRow, write_curves, write_json, write_shapes
+from tubesight.files.tables import ShapeRow
 from tubesight.files.tube import load_tube
-from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
 from tubesight.outputs.machine import machine
 from tubesight.outputs.overlay import draw_overlay
-from tubesight.outputs.plot3d import plots_installed, write_plot
-from tubesight.outputs.rows import curves_of, shape_row, unreadable_row
+from tubesight.outputs.plot3d import plots_installed
+from tubesight.outputs.rows import curves_of, shape_row, unreadable_row, write_results
 from tubesight.sensor import DEFAULT_METHOD, Reconstruction, ShapeSensor
 from tubesight.sources.folder import FolderSource, read_backgrounds
 
@@ -137,7 +136,10 @@ def run_folder(options: RunOptions, progress: Progress | None = None) -> RunRepo
         others = f" (none of the {len(source)} pairs can be read)" if len(source) > 1 else ""
         raise InputError(problems[0] + others)
     messages += _segmenters(views)
-    files += _write_results(options, rig, tube, rows, curves, messages, started)
+    if not plots_installed():
+        messages.append("no 3-D plot: matplotlib is missing (pip install 'tubesight[plots]')")
+    about = _run_json(options, rig, tube, rows, messages, started)
+    files += write_results(options.out, rows, curves_of(curves), about)
     return RunReport(tuple(rows), tuple(problems), tuple(messages), tuple(files))
 
 
@@ -207,28 +209,6 @@ def _segmenters(views: list[dict[str, str]]) -> list[str]:
         counts = Counter(view[name] for view in views if name in view)
         lines += [f"{name}: {why} ({count} of {len(views)} pairs)" for why, count in counts.most_common()]
     return lines
-
-
-def _write_results(
-    options: RunOptions,
-    rig: Rig,
-    tube: Tube,
-    rows: list[ShapeRow],
-    found: list[tuple[str, Curve3D]],
-    messages: list[str],
-    started: datetime,
-) -> list[Path]:
-    files = [options.out / name for name in ("shapes.csv", "curves.npz", "run.json")]
-    curves = curves_of(found)
-    write_shapes(files[0], rows)
-    write_curves(files[1], curves)
-    if plots_installed():
-        files.append(options.out / "shapes.png")
-        write_plot(files[-1], curves)
-    else:
-        messages.append("no 3-D plot: matplotlib is missing (pip install 'tubesight[plots]')")
-    write_json(files[2], _run_json(options, rig, tube, rows, messages, started))
-    return files
 
 
 def _run_json(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -30,12 +31,11 @@ def remark(lines: Iterable[str]) -> None:
         stderr().print(line, soft_wrap=True)
 
 
-def table(title: str, columns: Iterable[str], left: Iterable[str] = ()) -> Table:
-    """Make an empty table; numbers stand right, the columns in `left` are text."""
-    made = Table(title=title, title_justify="left", title_style="bold", header_style="bold")
-    for column in columns:
-        text = column in tuple(left)
-        made.add_column(column, justify="left" if text else "right", no_wrap=not text, overflow="fold")
+def table(headings: Iterable[str], texts: int) -> Table:
+    """Make an empty table that fits 80 columns: the first `texts` columns are text, the others numbers on the right."""
+    made = Table(box=SIMPLE_HEAD, collapse_padding=True, pad_edge=False, header_style="bold")
+    for index, heading in enumerate(headings):
+        made.add_column(heading, justify="left" if index < texts else "right", no_wrap=True)
     return made
 
 

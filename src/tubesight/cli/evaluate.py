@@ -10,17 +10,17 @@ import typer
 if TYPE_CHECKING:
     from tubesight.apps.evaluate import Evaluation
 
-# Quantity, heading, decimals.
-_COLUMNS = (
-    ("tip_x_mm", "tip x [mm]", 3),
-    ("tip_y_mm", "y", 3),
-    ("tip_z_mm", "z", 3),
-    ("tip_mm", "distance", 3),
-    ("bending_deg", "bending [deg]", 3),
-    ("orientation_deg", "orientation", 3),
-    ("length_mm", "length [mm]", 3),
-    ("curve_mm", "centreline [mm]", 3),
-)
+# Quantity and heading.
+_COLUMNS = {
+    "tip_x_mm": "tip x\n[mm]",
+    "tip_y_mm": "y\n[mm]",
+    "tip_z_mm": "z\n[mm]",
+    "tip_mm": "tip\n[mm]",
+    "bending_deg": "bending\n[deg]",
+    "orientation_deg": "orient.\n[deg]",
+    "length_mm": "length\n[mm]",
+    "curve_mm": "curve\n[mm]",
+}
 
 
 def command(
@@ -47,16 +47,20 @@ def command(
 def _print(evaluation: Evaluation) -> None:
     from tubesight.cli.console import fixed, stdout, table
 
-    headings = ("frame", "status", *(heading for _, heading, _ in _COLUMNS))
-    shown = table("measured minus true", headings, left=("frame", "status"))
-    for name, error in evaluation.frames.items():
-        shown.add_row(name, error.status, *(fixed(getattr(error, key), digits) for key, _, digits in _COLUMNS))
-    shown.add_section()
-    for label, summary in (("mean", evaluation.mean), ("max", evaluation.max)):
-        shown.add_row(f"{label} |error|", "", *(fixed(summary(key), digits) for key, _, digits in _COLUMNS))
     console = stdout()
+    shown = table(("frame", *_COLUMNS.values()), texts=1)
+    for name, error in evaluation.frames.items():
+        if error.status == "ok":
+            shown.add_row(name, *(fixed(getattr(error, key), 3) for key in _COLUMNS))
+    shown.add_section()
+    for label, summary in (("mean", evaluation.mean), ("largest", evaluation.max)):
+        shown.add_row(label, *(fixed(summary(key), 3) for key in _COLUMNS))
     console.print(shown)
+    console.print("errors are measured minus true; mean and largest are of their sizes")
     console.print(f"{len(evaluation.frames)} frames, {evaluation.failures} of them without a shape")
+    for name, error in evaluation.frames.items():
+        if error.status != "ok":
+            console.print(f"{name}: {error.status}", soft_wrap=True)
     for what, names in (("a row", evaluation.without_row), ("a truth", evaluation.without_truth)):
         if names:
             console.print(f"frames without {what}: {', '.join(names)}", soft_wrap=True)

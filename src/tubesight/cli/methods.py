@@ -9,7 +9,7 @@ import typer
 
 def command(json: Annotated[bool, typer.Option("--json", help="Print JSON alone.")] = False) -> None:
     """List the methods with their traits and citations."""
-    from tubesight.cli.console import stdout, table
+    from tubesight.cli.console import stdout
     from tubesight.files.tables import to_json
     from tubesight.methods import METHODS
 
@@ -20,10 +20,7 @@ def command(json: Annotated[bool, typer.Option("--json", help="Print JSON alone.
         }
         typer.echo(to_json({"methods": data}))
         return
-    traits = list(dict.fromkeys(trait for method in METHODS.values() for trait in method.traits))
-    shown = table("", ("method", "summary", *traits), left=("method", "summary", *traits))
     for name, method in METHODS.items():
-        shown.add_row(name, method.summary, *(method.traits.get(trait, "-") for trait in traits))
-    stdout().print(shown)
-    for name, method in METHODS.items():
-        stdout().print(f"{name}: {method.citation}", soft_wrap=True)
+        traits = "; ".join(f"{trait}: {value}" for trait, value in method.traits.items())
+        for line in (name, f"  {method.summary}", f"  {traits}", f"  {method.citation}", ""):
+            stdout().print(line, soft_wrap=True)

@@ -120,14 +120,15 @@ def _print(report: RunReport, out: Path, json: bool) -> None:
 def _print_table(rows: Sequence[ShapeRow]) -> None:
     from tubesight.cli.console import fixed, stdout, table
 
-    columns = ("frame", "status", "tip x [mm]", "y", "z", "bending [deg]", "orientation", "length [mm]", "rms [px]")
-    shown = table("", (*columns, "notes"), left=("frame", "status", "notes"))
+    numbers = ("tip x\n[mm]", "y\n[mm]", "z\n[mm]", "bending\n[deg]", "orient.\n[deg]", "length\n[mm]", "rms\n[px]")
+    shown = table(("frame", "status", *numbers), texts=2)
     for row in rows[:_ROWS_SHOWN]:
-        numbers = (
-            *((value, 3) for value in (row.tip_x_mm, row.tip_y_mm, row.tip_z_mm)),
-            *((value, 2) for value in (row.bending_deg, row.orientation_deg, row.length_mm, row.fit_rms_px)),
-        )
-        shown.add_row(row.frame, row.status, *(fixed(value, digits) for value, digits in numbers), row.notes)
+        tip = (fixed(value, 3) for value in (row.tip_x_mm, row.tip_y_mm, row.tip_z_mm))
+        rest = (fixed(value, 2) for value in (row.bending_deg, row.orientation_deg, row.length_mm, row.fit_rms_px))
+        shown.add_row(row.frame, row.status, *tip, *rest)
     stdout().print(shown)
+    for row in rows[:_ROWS_SHOWN]:
+        if row.notes:
+            stdout().print(f"{row.frame}: {row.notes}", soft_wrap=True)
     if len(rows) > _ROWS_SHOWN:
         stdout().print(f"... and {len(rows) - _ROWS_SHOWN} more in shapes.csv")

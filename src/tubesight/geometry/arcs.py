@@ -9,12 +9,15 @@ from tubesight.geometry.conic import fit_halir_flusser
 from tubesight.geometry.curve import Arc, EllipseArc
 from tubesight.geometry.pose import Pose
 
+# Ratio of spreads under which points in space lie on a line, so that rounding alone would choose their plane.
+_LINE_RATIO = 1e-9
+
 
 def clamped_arc(tip_mm: Array) -> Arc:
     """Arc that leaves the origin along +z and ends in a point.
 
-    ``theta = 2 atan2(hypot(x, y), z)``, ``kappa = 2 sin(theta / 2) / |tip|``, length ``theta / kappa``; the straight line is the
-    limit theta = 0.
+    ``theta = 2 atan2(hypot(x, y), z)``, ``kappa = 2 sin(theta / 2) / |tip|``, length ``theta / kappa``; the straight
+    line is the limit theta = 0.
 
     Parameters
     ----------
@@ -37,7 +40,7 @@ def clamped_arc(tip_mm: Array) -> Arc:
 
 
 def bending_plane(points_mm: Array, weights: Array) -> Array:
-    """Unit direction (2,) in the xy plane of the plane through the z axis that fits points (N, 3) best.
+    """Find the plane through the z axis that fits points (N, 3) best: its unit direction (2,) in the xy plane.
 
     The principal direction of their weighted second moment about the axis, signed towards the points.
     """
@@ -50,8 +53,8 @@ def bending_plane(points_mm: Array, weights: Array) -> Array:
 def clamped_ellipse(points_mm: Array, weights: Array, tip_mm: Array) -> EllipseArc:
     """Elliptic arc in a plane through the z axis that leaves the origin along +z.
 
-    In the bending plane (rho, z) such a conic is ``A rho^2 + B rho z + C z^2 + D rho = 0``; its coefficients minimise the
-    Sampson distance (two reweighted singular value problems).
+    In the bending plane (rho, z) such a conic is ``A rho^2 + B rho z + C z^2 + D rho = 0``; its coefficients minimise
+    the Sampson distance (two reweighted singular value problems).
 
     Parameters
     ----------
@@ -77,11 +80,14 @@ def clamped_ellipse(points_mm: Array, weights: Array, tip_mm: Array) -> EllipseA
         weight = weights / np.maximum(slope, 1e-6 * slope.max())
     conic = np.array([[a, b / 2, d / 2], [b / 2, c, 0], [d / 2, 0, 0]])
     axes = np.array([[*direction, 0.0], [0.0, 0.0, 1.0]])
-    return _ellipse_arc(conic, axes * scale, np.zeros(3), np.zeros(3), tip_mm)
+    return _ellipse_arc(conic, axes * scale, np.zeros(3), np.vstack([np.zeros(3), points_mm, tip_mm]))
 
 
-def _ellipse_arc(conic: Array, axes_mm: Array, origin_mm: Array, start_mm: Array, tip_mm: Array) -> EllipseArc:
-    """Turn a plane conic into the arc from `start_mm` to `tip_mm`; ``axes_mm`` (2, 3) span the plane with its scale."""
+def _ellipse_arc(conic: Array, axes_mm: Array, origin_mm: Array, along_mm: Array) -> EllipseArc:
+    """Turn a plane conic into the arc from the first to the last of the points `along_mm` (N, 3), the way they run.
+
+    ``axes_mm`` (2, 3) span the plane with its scale, from `origin_mm`.
+    """
     if np.linalg.det(conic[:2, :2]) <= 0:
         raise ValueError("the best quadratic curve is not an ellipse")
     centre = -np.linalg.solve(conic[:2, :2], conic[:2, 2])
@@ -93,10 +99,16 @@ def _ellipse_arc(conic: Array, axes_mm: Array, origin_mm: Array, start_mm: Array
     semi = np.sqrt(squares)[:, None] * vectors.T
     a, b = semi @ axes_mm
     middle = origin_mm + centre @ axes_mm
-    start, end = (_nearest_parameter(middle, a, b, p) for p in (start_mm, tip_mm))
-    # The shorter way round: a tube bends by less than half a turn.
-    end = start + (end - start + np.pi) % (2 * np.pi) - np.pi
-    return EllipseArc(middle, a, b, start, end)
+    start, end = (_nearest_parameter(middle, a, b, p) for p in along_mm[[0, -1]])
+    local = along_mm - middle
+    way = np.unwrap(np.arctan2(local @ b / (b @ b), local @ a / (a @ a)))
+    turn = float(way[-1] - way[0])
+    return EllipseArc(middle, a, b, start, start + turn + _wrap(end - start - turn))
+
+
+def _wrap(angle_rad: float) -> float:
+    """Shift an angle by whole turns to -pi ... pi."""
+    return float(np.remainder(angle_rad + np.pi, 2 * np.pi) - np.pi)
 
 
 def _nearest_parameter(centre: Array, a: Array, b: Array, point: Array) -> float:
@@ -115,7 +127,7 @@ def _nearest_parameter(centre: Array, a: Array, b: Array, point: Array) -> float
 
 
 def free_plane(points_mm: Array, weights: Array) -> tuple[Array, Array, Array]:
-    """Weighted plane of points (N, 3): centre (3,), in-plane axes (2, 3) with the first along the points, spreads (3,)."""
+    """Fit a plane to points (N, 3): centre (3,), axes (2, 3) in it with the first along the points, spreads (3,)."""
     w = weights**2 / (weights**2).sum()
     centre = w @ points_mm
     _, spread, axes = np.linalg.svd((points_mm - centre) * np.sqrt(w)[:, None], full_matrices=False)
@@ -133,35 +145,43 @@ def free_line(points_mm: Array, weights: Array, tip_mm: Array) -> Arc:
 def free_arc(points_mm: Array, weights: Array, tip_mm: Array) -> Arc:
     """Circular arc through points (N, 3) in order: plane, then circle by Taubin's algebraic fit in it.
 
-    It runs from the foot of the first point to that of the tip.
+    It runs from the foot of the first point to that of the tip. The circle is kept as
+    ``curvature / 2 |p|^2 + n . p + c = 0``, which stays regular where it straightens into a line.
 
     Raises
     ------
     ValueError
-        If the points lie on a line.
+        If the points lie on a line (no plane is fixed then).
     """
     centre, axes, spread = free_plane(points_mm, weights)
-    if spread[1] <= 1e-9 * spread[0]:
+    if spread[1] <= _LINE_RATIO * spread[0]:
         raise ValueError("the points lie on a line; no circle passes through them")
-    x, y = ((points_mm - centre) @ axes.T).T
-    w = weights**2 / (weights**2).sum()
-    z = x * x + y * y
-    x0, y0, z0 = w @ x, w @ y, w @ z
-    design = np.stack([(z - z0) / (2 * np.sqrt(z0)), x - x0, y - y0], 1) * np.sqrt(w)[:, None]
-    _, _, vt = np.linalg.svd(design, full_matrices=False)
-    a = vt[-1, 0] / (2 * np.sqrt(z0))
-    if abs(a) * np.sqrt(z0) < 1e-12:
-        raise ValueError("the points lie on a line; no circle passes through them")
-    middle = -vt[-1, 1:] / (2 * a)
-    d = -(a * z0 + vt[-1, 1] * x0 + vt[-1, 2] * y0)
-    radius = float(np.sqrt(middle @ middle - d / a))
-    foot = (np.stack([points_mm[0], tip_mm]) - centre) @ axes.T - middle
-    start, end = np.arctan2(foot[:, 1], foot[:, 0])
-    turn = (end - start + np.pi) % (2 * np.pi) - np.pi
-    inward = -np.array([np.cos(start), np.sin(start)])
-    along = np.sign(turn) * np.array([inward[1], -inward[0]])
-    pose = _frame(centre + (middle - radius * inward) @ axes, along @ axes, inward @ axes)
-    return Arc(np.array([1 / radius, 0.0]), abs(turn) * radius, pose)
+    p = (np.vstack([points_mm, tip_mm]) - centre) @ axes.T
+    half, normal, constant = _taubin_circle(p[:-1], weights**2 / (weights**2).sum())
+    inward = -(normal + 2 * half * p)
+    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    level = half * (p * p).sum(1) + p @ normal + constant
+    foot = p + (2 * level / (1 + np.sqrt(np.maximum(1 + 4 * half * level, 0))))[:, None] * inward
+    turns = np.unwrap(np.arctan2(inward[:, 1], inward[:, 0]))
+    turn = float(turns[-1] - turns[0])
+    chord = foot[-1] - foot[0]
+    # The chord of an arc makes half its turn with the tangent at its start.
+    cos, sin = np.cos(turn / 2), np.sin(turn / 2)
+    along = np.array([[cos, sin], [-sin, cos]]) @ chord * np.sign(np.sinc(turn / (2 * np.pi)))
+    length = float(np.linalg.norm(chord) / abs(np.sinc(turn / (2 * np.pi))))
+    return Arc(np.array([2 * half, 0.0]), length, _frame(centre + foot[0] @ axes, along @ axes, inward[0] @ axes))
+
+
+def _taubin_circle(xy: Array, share: Array) -> tuple[float, Array, float]:
+    """Fit the circle ``a |p|^2 + n . p + c = 0``, ``|n|^2 - 4 a c = 1``, a >= 0 half its curvature; shares sum to 1."""
+    square = (xy * xy).sum(1)
+    mean, mean_square = share @ xy, float(share @ square)
+    design = np.column_stack([(square - mean_square) / (2 * np.sqrt(mean_square)), xy - mean]) * np.sqrt(share)[:, None]
+    best = np.linalg.svd(design, full_matrices=False)[2][-1]
+    a, normal = float(best[0]) / (2 * np.sqrt(mean_square)), best[1:]
+    constant = -(a * mean_square + float(normal @ mean))
+    size = np.sqrt(normal @ normal - 4 * a * constant) * (1 if a >= 0 else -1)
+    return a / size, normal / size, constant / size
 
 
 def free_ellipse(points_mm: Array, weights: Array, tip_mm: Array) -> EllipseArc:
@@ -173,10 +193,10 @@ def free_ellipse(points_mm: Array, weights: Array, tip_mm: Array) -> EllipseArc:
         If the points lie on a line.
     """
     centre, axes, spread = free_plane(points_mm, weights)
-    if spread[1] <= 1e-9 * spread[0]:
+    if spread[1] <= _LINE_RATIO * spread[0]:
         raise ValueError("the points lie on a line; no ellipse passes through them")
     conic = fit_halir_flusser((points_mm - centre) @ axes.T).matrix
-    return _ellipse_arc(conic, axes, centre, points_mm[0], tip_mm)
+    return _ellipse_arc(conic, axes, centre, np.vstack([points_mm, tip_mm]))
 
 
 def _frame(start_mm: Array, along: Array, side: Array) -> Pose:

@@ -10,12 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 
 from tubesight.core import Array, readonly
 
-# Below this ratio of spreads the points are on a line as far as float64 can tell (noise of undistortion is 1e-13).
-_LINE_RATIO = 1e-9
+# Below this ratio of spreads the points are on a line as far as float64 can tell: the undistorted pixels of a straight
+# tube stay below 5e-15, of one a tenth of a picture long below 1e-13. A curve it straightens is 1e-11 of its length deep.
+_LINE_RATIO = 1e-11
+# Ratio of singular values under which a direction is empty: exact points give 1e-15, noise of 1e-6 px gives 1e-8.
+_EMPTY = 1e-12
 # |det| and discriminant of a unit-norm conic in its principal frame under which it counts as degenerate.
 _DEGENERATE = 1e-12
 
@@ -24,8 +26,8 @@ _DEGENERATE = 1e-12
 class Conic:
     """Conic ``v^T C v = 0`` with ``C = frame^T normal frame``.
 
-    The image of a circular arc can be a hyperbola (when the full circle crosses the camera's focal plane), and the image of a
-    straight tube is a double line: every kind is legal.
+    The image of a circular arc can be a hyperbola (when the full circle crosses the camera's focal plane), and the image
+    of a straight tube is a double line: every kind is legal.
 
     Attributes
     ----------
@@ -56,7 +58,7 @@ class Conic:
 
     @property
     def kind(self) -> str:
-        """``ellipse``, ``parabola``, ``hyperbola``, ``line`` (a double line) or ``degenerate`` (a pair of lines, a point)."""
+        """``ellipse``, ``parabola``, ``hyperbola``, ``line`` (a double line) or ``degenerate`` (two lines, a point)."""
         values = np.abs(np.linalg.eigvalsh(self.normal))
         if np.sort(values)[1] < _DEGENERATE:
             return "line"
@@ -92,9 +94,10 @@ def _principal_frame(xy: Array) -> tuple[Array, bool]:
         raise ValueError(f"a conic fit needs finite points, at least two, got {len(points)}")
     mean = points.mean(0)
     _, spread, axes = np.linalg.svd(points - mean, full_matrices=False)
-    if spread[0] == 0:
+    # Copies of one point differ from their mean by its rounding.
+    if spread[0] <= 1e-15 * np.sqrt(len(points)) * np.abs(points).max():
         raise ValueError("a conic fit needs points that differ")
-    line = bool(len(points) < 5 or spread[1] <= _LINE_RATIO * spread[0])
+    line = bool(spread[1] <= _LINE_RATIO * spread[0])
     scale = np.sqrt(len(points)) / np.array([spread[0], spread[0] if line else spread[1]])
     linear = axes * scale[:, None]
     frame = np.eye(3)
@@ -108,8 +111,9 @@ def _to_frame(xy: Array, frame: Array) -> tuple[Array, Array]:
     return q[:, 0], q[:, 1]
 
 
-def _symmetric(a: float, b: float, c: float, d: float, e: float, f: float) -> Array:
-    """Matrix of ``a x^2 + b x y + c y^2 + d x + e y + f``."""
+def _symmetric(coefficients: Array) -> Array:
+    """Matrix of ``a x^2 + b x y + c y^2 + d x + e y + f`` from its coefficients (6,)."""
+    a, b, c, d, e, f = coefficients
     return np.array([[a, b / 2, d / 2], [b / 2, c, e / 2], [d / 2, e / 2, f]])
 
 
@@ -126,61 +130,75 @@ def fit_line(xy: Array) -> Conic:
 def fit_halir_flusser(xy: Array) -> Conic:
     """Direct least-squares ellipse (Halir & Flusser 1998; Fitzgibbon's constraint ``4 a c - b^2 = 1``).
 
-    The answer is an ellipse whatever the points are; points on a line give the double line.
+    The answer is an ellipse whatever the points are, a parabola at the limit. Points that fix no conic (on a line, or
+    on fewer than five places) give the double line along their long axis.
 
     Parameters
     ----------
     xy
-        (N, 2), N >= 5 for anything but a line.
+        (N, 2), finite, N >= 2, not all equal.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, or they are all equal or not finite.
     """
     frame, line = _principal_frame(xy)
-    if line:
+    if line or len(xy) < 5:
         return Conic(_LONG_AXIS, frame)
     x, y = _to_frame(xy, frame)
     quadratic = np.stack([x * x, x * y, y * y], 1)
     linear = np.stack([x, y, np.ones_like(x)], 1)
-    s1, s2, s3 = quadratic.T @ quadratic, quadratic.T @ linear, linear.T @ linear
-    reduce = -np.linalg.solve(s3, s2.T)
-    m = s1 + s2 @ reduce
-    m = np.stack([m[2] / 2, -m[1], m[0] / 2])
-    _, vectors = np.linalg.eig(m)
-    vectors = np.real(vectors)
-    condition = 4 * vectors[0] * vectors[2] - vectors[1] ** 2
-    best = vectors[:, int(np.argmax(condition))]
-    return Conic(_symmetric(*best, *(reduce @ best)), frame)
+    # Halir & Flusser eliminate the linear part by their scatter matrix (eq. 25); an orthogonal projection does not
+    # square the conditioning. `reduced` is what the linear part cannot explain: S1 - S2 S3^-1 S2^T = reduced^T reduced.
+    basis, triangle = np.linalg.qr(linear)
+    reduced = quadratic - basis @ (basis.T @ quadratic)
+    _, size, vt = np.linalg.svd(reduced, full_matrices=False)
+    if size[1] <= _EMPTY * size[0]:
+        return Conic(_LONG_AXIS, frame)
+    best = vt[2]
+    if size[2] > _EMPTY * size[0] or 4 * best[0] * best[2] <= best[1] ** 2:
+        m = reduced.T @ reduced
+        _, vectors = np.linalg.eig(np.stack([m[2] / 2, -m[1], m[0] / 2]))
+        vectors = np.real(vectors)
+        best = vectors[:, int(np.argmax(4 * vectors[0] * vectors[2] - vectors[1] ** 2))]
+    rest = -np.linalg.solve(triangle, basis.T @ (quadratic @ best))
+    return Conic(_symmetric(np.concatenate([best, rest])), frame)
 
 
 def fit_taubin(xy: Array) -> Conic:
     """Fit a conic of any kind by Taubin's approximate mean square distance (Taubin 1991).
 
-    Minimises ``sum f^2 / sum |grad f|^2``: a generalised eigenproblem.
+    Minimises ``sum f^2 / sum |grad f|^2``. Points that fix no conic (on a line, or on fewer than five places) give the
+    double line along their long axis.
 
     Parameters
     ----------
     xy
-        (N, 2), N >= 5 for anything but a line.
+        (N, 2), finite, N >= 2, not all equal.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, or they are all equal or not finite.
     """
     frame, line = _principal_frame(xy)
-    if line:
+    if line or len(xy) < 5:
         return Conic(_LONG_AXIS, frame)
     x, y = _to_frame(xy, frame)
     one, zero = np.ones_like(x), np.zeros_like(x)
     # The constant is eliminated: its gradient is zero, so the optimum has mean f = 0.
     design = np.stack([x * x, x * y, y * y, x, y], 1)
     mean = design.mean(0)
-    centred = design - mean
-    gx = np.stack([2 * x, y, zero, one, zero], 1)
-    gy = np.stack([zero, x, 2 * y, zero, one], 1)
-    _, _, vt = np.linalg.svd(centred, full_matrices=False)
-    if len(x) == 5:
-        best = vt[-1]
-    else:
-        _, vectors = scipy.linalg.eigh(centred.T @ centred, gx.T @ gx + gy.T @ gy)
-        best = vectors[:, 0]
-        exact = np.linalg.norm(centred @ vt[-1]) <= 1e-7 * np.linalg.norm(centred)
-        # On exact points the normal equations square the conditioning; the singular vector does not.
-        best = vt[-1] if exact else best
-    return Conic(_symmetric(*best, -float(mean @ best)), frame)
+    gradient = np.concatenate([np.stack([2 * x, y, zero, one, zero], 1), np.stack([zero, x, 2 * y, zero, one], 1)])
+    # With gradient = Q T the quotient is |centred c|^2 / |T c|^2: a singular value problem, which does not square the
+    # conditioning as the generalised eigenproblem of the scatter matrices does.
+    _, triangle = np.linalg.qr(gradient)
+    _, size, vt = np.linalg.svd(np.linalg.solve(triangle.T, (design - mean).T).T, full_matrices=False)
+    if size[3] <= _EMPTY * size[0]:
+        return Conic(_LONG_AXIS, frame)
+    best = np.linalg.solve(triangle, vt[4])
+    return Conic(_symmetric(np.append(best, -mean @ best)), frame)
 
 
 def fit_parabola(xy: Array) -> Conic:
@@ -191,14 +209,21 @@ def fit_parabola(xy: Array) -> Conic:
     Parameters
     ----------
     xy
-        (N, 2), N >= 3.
+        (N, 2), finite, N >= 2, not all equal; fewer than three places along the long axis give the double line.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two points, or they are all equal or not finite.
     """
     frame, line = _principal_frame(xy)
     if line:
         return Conic(_LONG_AXIS, frame)
     x, y = _to_frame(xy, frame)
-    (a, b, c), *_ = np.linalg.lstsq(np.stack([np.ones_like(x), x, x * x], 1), y, rcond=None)
-    return Conic(_symmetric(c, 0.0, 0.0, b, -1.0, a), frame)
+    (a, b, c), _, rank, _ = np.linalg.lstsq(np.stack([np.ones_like(x), x, x * x], 1), y, rcond=_EMPTY)
+    if rank < 3:
+        return Conic(_LONG_AXIS, frame)
+    return Conic(_symmetric(np.array([c, 0.0, 0.0, b, -1.0, a])), frame)
 
 
 CONIC_FITS: dict[str, ConicFit] = {

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline
 
 from tubesight.core import Array, readonly
 from tubesight.geometry.pose import Pose
@@ -29,10 +30,56 @@ class Curve3D(Protocol):
         """Arc length from base to tip."""
 
     def at(self, s_mm: ArrayLike) -> Array:
-        """Points (N, 3) at arc lengths (N,)."""
+        """Return points (N, 3) at arc lengths (N,)."""
 
     def tangent(self, s_mm: ArrayLike) -> Array:
-        """Unit tangents (N, 3) at arc lengths (N,), towards the tip."""
+        """Return unit tangents (N, 3) at arc lengths (N,), towards the tip."""
+
+
+@dataclass(frozen=True, eq=False)
+class NodeCurve:
+    """Curve through nodes with known tangents (cubic Hermite), and how far it may be off.
+
+    Attributes
+    ----------
+    model
+        Name of its family.
+    s_mm, points_mm, tangents
+        (M,), (M, 3), (M, 3) in the base frame.
+    from_picture, from_rig
+        The curve displaced by one standard deviation along each independent direction of its covariance: what comes
+        from the pictures, and what comes from the calibration. Empty where not known.
+    """
+
+    model: str
+    s_mm: Array
+    points_mm: Array
+    tangents: Array
+    from_picture: tuple[NodeCurve, ...] = ()
+    from_rig: tuple[NodeCurve, ...] = ()
+
+    def __post_init__(self) -> None:
+        m = len(self.s_mm)
+        for name, shape in (("s_mm", (m,)), ("points_mm", (m, 3)), ("tangents", (m, 3))):
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+    @property
+    def length_mm(self) -> float:
+        """Arc length from base to tip."""
+        return float(self.s_mm[-1])
+
+    @cached_property
+    def _spline(self) -> CubicHermiteSpline:
+        return CubicHermiteSpline(self.s_mm, self.points_mm, self.tangents)
+
+    def at(self, s_mm: ArrayLike) -> Array:
+        """Return points (N, 3) at arc lengths (N,)."""
+        return np.asarray(self._spline(np.asarray(s_mm, float)), dtype=np.float64)
+
+    def tangent(self, s_mm: ArrayLike) -> Array:
+        """Return unit tangents (N, 3) at arc lengths (N,)."""
+        t = np.asarray(self._spline(np.asarray(s_mm, float), 1), dtype=np.float64)
+        return np.asarray(t / np.linalg.norm(t, axis=-1, keepdims=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,14 +113,14 @@ class Arc:
         return "circle" if self.curvature_per_mm.any() else "line"
 
     def at(self, s_mm: ArrayLike) -> Array:
-        """Points (N, 3) at arc lengths (N,)."""
+        """Return points (N, 3) at arc lengths (N,)."""
         s = np.asarray(s_mm, float)
         angle = s * float(np.hypot(*self.curvature_per_mm))
         side = s * s / 2 * np.sinc(angle / (2 * np.pi)) ** 2
         return self.start.apply(np.stack([*(k * side for k in self.curvature_per_mm), s * np.sinc(angle / np.pi)], -1))
 
     def tangent(self, s_mm: ArrayLike) -> Array:
-        """Unit tangents (N, 3) at arc lengths (N,)."""
+        """Return unit tangents (N, 3) at arc lengths (N,)."""
         s = np.asarray(s_mm, float)
         angle = s * float(np.hypot(*self.curvature_per_mm))
         side = s * np.sinc(angle / np.pi)
@@ -141,10 +188,10 @@ class EllipseArc:
         return np.asarray(t)
 
     def at(self, s_mm: ArrayLike) -> Array:
-        """Points (N, 3) at arc lengths (N,)."""
+        """Return points (N, 3) at arc lengths (N,)."""
         return self._point(self._parameter(s_mm))
 
     def tangent(self, s_mm: ArrayLike) -> Array:
-        """Unit tangents (N, 3) at arc lengths (N,)."""
+        """Return unit tangents (N, 3) at arc lengths (N,)."""
         v = self._velocity(self._parameter(s_mm)) * np.sign(self.end_rad - self.start_rad)
         return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from tubesight.core import Array, readonly
 from tubesight.geometry.camera import Camera
+from tubesight.geometry.lens import LENSES
 from tubesight.geometry.pose import Pose
 
 
@@ -99,6 +100,30 @@ class Rig:
         x, y, z = pose.translation_mm
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         return np.asarray(cross @ pose.rotation)
+
+    def perturbed(self, name: str, delta: float) -> Rig:
+        """Rig with one parameter of `RigCovariance` moved by `delta` (px, coefficient, rad or mm)."""
+        camera_name, parameter = name.rsplit(".", 1)
+        camera, pose = self.cameras[camera_name], self.camera_from_base.get(camera_name)
+        matrix, distortion = np.array(camera.matrix), np.array(camera.distortion)
+        places = {"f": ((0, 0), (1, 1)), "fx": ((0, 0),), "fy": ((1, 1),), "cx": ((0, 2),), "cy": ((1, 2),), "skew": ((0, 1),)}
+        coefficients = LENSES[camera.lens].coefficients
+        if parameter in places:
+            scale = matrix[1, 1] / matrix[0, 0]
+            for place in places[parameter]:
+                matrix[place] += delta * (scale if parameter == "f" and place == (1, 1) else 1.0)
+        elif parameter in coefficients:
+            distortion[coefficients.index(parameter)] += delta
+        elif pose is not None and parameter in ("rx", "ry", "rz", "tx", "ty", "tz"):
+            step = np.zeros(6)
+            step[("rx", "ry", "rz", "tx", "ty", "tz").index(parameter)] = delta
+            turned = Pose.from_rotvec(step[:3], np.zeros(3)).rotation @ pose.rotation
+            pose = Pose(turned, pose.translation_mm + step[3:])
+        else:
+            raise ValueError(f"a rig of cameras {', '.join(self.cameras)} has no parameter {name!r}")
+        cameras = {**self.cameras, camera_name: Camera(matrix, camera.size_px, distortion, camera.lens)}
+        poses = {**self.camera_from_base, **({camera_name: pose} if pose is not None else {})}
+        return Rig(cameras, poses, self.base_frame, self.covariance)
 
     def triangulate(self, rays: Mapping[str, ArrayLike]) -> Array:
         """Points nearest to corresponding rays of two or more cameras.

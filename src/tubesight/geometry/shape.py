@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tubesight.core import Array, readonly
-from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.curve import Curve3D, NodeCurve
 
 SD_NAMES = ("tip_x", "tip_y", "tip_z", "bending", "orientation", "length", "curvature")
 
@@ -33,8 +33,9 @@ class Shape:
         Arc length of the centreline.
     curvature_per_mm
         Mean absolute curvature.
-    sd
-        Standard deviations by name (`SD_NAMES`), in the units above; NaN where not known.
+    sd, sd_picture, sd_rig
+        Standard deviations by name (`SD_NAMES`), in the units above: together, from the pictures and from the
+        calibration; NaN where not known.
     """
 
     tip_mm: Array
@@ -43,6 +44,8 @@ class Shape:
     length_mm: float
     curvature_per_mm: float
     sd: Mapping[str, float] = field(default_factory=_unknown)
+    sd_picture: Mapping[str, float] = field(default_factory=_unknown)
+    sd_rig: Mapping[str, float] = field(default_factory=_unknown)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tip_mm", readonly(self.tip_mm, (3,), "tip_mm"))
@@ -54,29 +57,45 @@ def angle_between(a: Array, b: Array) -> float:
 
 
 def shape_of(curve: Curve3D, orientation_from_mm: float) -> Shape:
-    """Measure a curve.
+    """Measure a curve, with the deviations that it carries.
 
     Parameters
     ----------
     curve
         Centreline in the base frame.
     orientation_from_mm
-        Distance of the tip from the z axis below which its azimuth is undefined (three standard deviations of the
-        tip across the axis).
+        Distance of the tip from the z axis below which its azimuth is undefined, where the curve carries no deviations;
+        else it is three standard deviations of that distance.
     """
+    values = _measure(curve)
+    picture, rig = _unknown(), _unknown()
+    if isinstance(curve, NodeCurve) and curve.from_picture:
+        picture = _deviations(values, curve.from_picture)
+        rig = _deviations(values, curve.from_rig) if curve.from_rig else rig
+        moved = [np.hypot(*(_measure(c)[:2] - values[:2])) for c in (*curve.from_picture, *curve.from_rig)]
+        orientation_from_mm = 3 * float(np.linalg.norm(moved))
+    known_rig = {k: v if np.isfinite(v) else 0.0 for k, v in rig.items()}
+    both = {k: float(np.hypot(picture[k], known_rig[k])) for k in SD_NAMES}
+    phi = values[4] % (2 * np.pi) if np.hypot(values[0], values[1]) >= orientation_from_mm else float("nan")
+    if np.isnan(phi):
+        both["orientation"] = picture["orientation"] = rig["orientation"] = float("nan")
+    return Shape(values[:3], float(values[3]), float(phi), float(values[5]), float(values[6]), both, picture, rig)
+
+
+def _measure(curve: Curve3D) -> Array:
+    """Values (7,) in the order of `SD_NAMES`."""
     length = curve.length_mm
     tip = curve.at([length])[0]
-    ends = curve.tangent([0.0, length])
-    defined = float(np.hypot(tip[0], tip[1])) >= orientation_from_mm
-    s = np.linspace(0.0, length, 201)
-    tangents = curve.tangent(s)
+    tangents = curve.tangent(np.linspace(0.0, length, 65))
     turned = np.arctan2(
         np.linalg.norm(np.cross(tangents[:-1], tangents[1:]), axis=1), (tangents[:-1] * tangents[1:]).sum(1)
     )
-    return Shape(
-        tip_mm=tip,
-        bending_rad=angle_between(ends[0], ends[1]),
-        orientation_rad=float(np.arctan2(tip[1], tip[0]) % (2 * np.pi)) if defined else float("nan"),
-        length_mm=length,
-        curvature_per_mm=float(turned.sum() / length) if length > 0 else float("nan"),
-    )
+    bending = angle_between(tangents[0], tangents[-1])
+    return np.array([*tip, bending, np.arctan2(tip[1], tip[0]), length, turned.sum() / max(length, 1e-9)])
+
+
+def _deviations(values: Array, displaced: tuple[NodeCurve, ...]) -> dict[str, float]:
+    """Root sum of squares of what each displaced curve changes."""
+    off = np.array([_measure(curve) for curve in displaced]) - values
+    off[:, 4] = (off[:, 4] + np.pi) % (2 * np.pi) - np.pi
+    return dict(zip(SD_NAMES, np.sqrt((off**2).sum(0)).tolist(), strict=True))

@@ -17,6 +17,7 @@ from tubesight.geometry.cone import Cone, epipolar_crossing, ordered_depths, pla
 from tubesight.geometry.conic import CONIC_FITS, Conic
 from tubesight.geometry.curve import Arc, Curve3D
 from tubesight.geometry.rig import Rig
+from tubesight.methods.agreement import base_of, reprojection_rms_px, triangulate_tip
 from tubesight.vision.view import View
 
 # The simplest model whose rms is within this factor of the best model's is taken: residuals are systematic, so that a
@@ -27,8 +28,6 @@ _RMS_FLOOR_PX = 0.1
 # A reprojection this far off both centrelines means that no quadratic curve describes the tube (right models on
 # photographs: 0.05 to 0.3 px, wrong ones 2 px and more).
 _RMS_MAX_PX = 1.0
-# Largest distance of the two tip rays from each other.
-_TIP_GAP_MAX_PX = 4.0
 # Fewest rays that have to meet the cone, of those that cross the observed arc.
 _HITS_MIN = 6
 # |sin| of the crossing angle below which a ray's depth is noise.
@@ -51,7 +50,13 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
     pair = _best_pair(views, rig)
     tip = triangulate_tip(views, rig)
     points, weights = curve_points(views[pair[0]], views[pair[1]], rig)
-    models = _clamped(points, weights, tip) if tube.clamped else _free(points, weights, tip)
+    if tube.clamped:
+        models = _clamped(points, weights, tip)
+    else:
+        base = base_of(views, rig)
+        points = points if base is None else np.vstack([base, points])
+        weights = weights if base is None else np.append(weights.max(), weights)
+        models = _free(points, weights, tip)
     return _simplest(models, views, rig)
 
 
@@ -62,23 +67,6 @@ def _best_pair(views: Mapping[str, View], rig: Rig) -> tuple[str, str]:
     axes = {n: rig.camera_from_base[n].rotation[2] for n in names}
     pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
     return max(pairs, key=lambda p: float(np.linalg.norm(np.cross(axes[p[0]], axes[p[1]]))))
-
-
-def triangulate_tip(views: Mapping[str, View], rig: Rig) -> Array:
-    """Tip (3,) from the axes of the tips in all views.
-
-    Raises
-    ------
-    Unmeasurable
-        If the axes do not meet.
-    """
-    rays = {name: (view.tip.axis / view.tip.axis[2])[None] for name, view in views.items()}
-    tip = rig.triangulate(rays)[0]
-    for name, view in views.items():
-        off = float(np.linalg.norm(rig.project(name, tip) - view.tip.px))
-        if not off <= _TIP_GAP_MAX_PX:
-            raise Unmeasurable(Status.VIEWS_DISAGREE, detail=f"the tip's rays miss each other by {off:.1f} px in {name}")
-    return tip
 
 
 def curve_points(one: View, other: View, rig: Rig) -> tuple[Array, Array]:
@@ -173,16 +161,3 @@ def _simplest(models: list[Callable[[], Curve3D]], views: Mapping[str, View], ri
         raise Unmeasurable(Status.NOT_QUADRATIC, detail=f"best line, circle or ellipse: {best}")
     limit = max(_SIMPLEST_WITHIN * min(r for r, _ in fits), _RMS_FLOOR_PX)
     return next(curve for rms, curve in fits if rms <= limit)
-
-
-def reprojection_rms_px(curve: Curve3D, views: Mapping[str, View], rig: Rig) -> float:
-    """Root mean square distance of the views' centrelines and tips from the reprojected curve, all views, pixels."""
-    points = curve.at(np.linspace(0.0, curve.length_mm, 100))
-    squares = []
-    for name, view in views.items():
-        px = rig.project(name, points)
-        if not np.isfinite(px).all():
-            return float("inf")
-        _, off = place_along(px, np.vstack([view.centreline_px, view.tip.px]))
-        squares.append(off**2)
-    return float(np.sqrt(np.mean(np.concatenate(squares))))

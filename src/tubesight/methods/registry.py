@@ -9,7 +9,7 @@ from types import MappingProxyType
 from tubesight.core import Tube
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
-from tubesight.methods import cone_ray
+from tubesight.methods import cone_ray, silhouette
 from tubesight.vision.view import View
 
 
@@ -53,6 +53,23 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                 }
             ),
             solve=cone_ray.solve,
-        )
+        ),
+        "silhouette": Method(
+            name="silhouette",
+            summary="least squares on the sub-pixel edges of all views, exact contour model, family by evidence",
+            citation="tubesight",
+            traits=MappingProxyType(
+                {
+                    "cameras": "2 or more",
+                    "markers": "none",
+                    "physical grid": "none",
+                    "initial guess": "none",
+                    "circular arcs": "not needed: arcs, ellipses, polynomials of curvature, several segments",
+                    "tip": "yes",
+                    "3-D": "yes",
+                }
+            ),
+            solve=silhouette.Silhouette(starter=cone_ray.solve),
+        ),
     }
 )

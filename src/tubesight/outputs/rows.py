@@ -1,15 +1,18 @@
-"""Reconstructions as rows of ``shapes.csv`` and curves of ``curves.npz``."""
+"""Reconstructions as rows of ``shapes.csv`` and curves of ``curves.npz``, and the folder that holds them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tubesight.core import Status
-from tubesight.files.tables import Curves, ShapeRow
+from tubesight.files.tables import Curves, ShapeRow, write_curves, write_json, write_shapes
 from tubesight.geometry.curve import Curve3D
+from tubesight.outputs.plot3d import plots_installed, write_plot
 from tubesight.sensor import Reconstruction
 
 # Points of a stored curve: at 160 mm one each 1.6 mm, where the chord of a 50 mm radius is 0.006 mm off the arc.
@@ -66,3 +69,21 @@ def curves_of(found: Sequence[tuple[str, Curve3D]]) -> Curves:
     s = np.array([np.linspace(0.0, curve.length_mm, CURVE_POINTS) for _, curve in found]).reshape(-1, CURVE_POINTS)
     xyz = np.array([curve.at(row) for (_, curve), row in zip(found, s, strict=True)]).reshape(-1, CURVE_POINTS, 3)
     return Curves(tuple(frame for frame, _ in found), s, xyz, np.full_like(s, np.nan))
+
+
+def write_results(out: Path, rows: Sequence[ShapeRow], curves: Curves, about: Mapping[str, Any]) -> list[Path]:
+    """Write ``shapes.csv``, ``curves.npz``, ``run.json`` and, where matplotlib is there, ``shapes.png``.
+
+    Parameters
+    ----------
+    about
+        What made the results, for ``run.json``.
+    """
+    table, npz, run, plot = (out / name for name in ("shapes.csv", "curves.npz", "run.json", "shapes.png"))
+    write_shapes(table, rows)
+    write_curves(npz, curves)
+    write_json(run, about)
+    if not plots_installed():
+        return [table, npz, run]
+    write_plot(plot, curves)
+    return [table, npz, run, plot]

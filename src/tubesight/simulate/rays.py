@@ -11,9 +11,9 @@ from scipy.interpolate import RectBivariateSpline
 from tubesight.core import Array
 from tubesight.geometry.camera import Camera
 
-# Nodes every 16 px: the cubic spline through them differs from the inverted lens by 1e-5 px at webcam distortion
-# and by 1e-3 px at the edge of a fisheye picture of 160 degrees.
-_NODE_PX = 16
+# The cubic spline through nodes this far apart differs from the inverted lens of a webcam by 2e-6 px in a picture of
+# 1080 lines and 4e-5 px in one of 360, worst in the corners.
+_NODE_PX = 8
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from tubesight.vision.edges import left_of
 from tubesight.vision.search import find_seed
 from tubesight.vision.signal import Signal
 from tubesight.vision.silhouette import choose
-from tubesight.vision.tip import find_tip
+from tubesight.vision.tip import end_of_tube, find_tip
 from tubesight.vision.view import TipView, View
 from tubesight.vision.walker import Track, find_pair, measure, walk
 
@@ -71,9 +71,11 @@ def see(name: str, image: Image, background: Image | None, camera: Camera, tube:
     """
     if start is not None:
         signal, track = _from_base(image, background, start)
+        base = start.px
         tip = _tip_of(signal, camera, tube, track)
     else:
         signal, track, tip = _from_middle(image, background, camera, tube, base_px)
+        base = _first_of(signal, camera, track)
     edges, sigma, _ = measure(signal, track)
     edges, sigma = _before_tip(edges, sigma, tip, track, tube)
     if len(edges) < _SCANS_MIN:
@@ -84,7 +86,7 @@ def see(name: str, image: Image, background: Image | None, camera: Camera, tube:
     middle = bisector / bisector[:, 2:]
     notes = tuple(f"bridged a gap of {g:.1f} widths" for g in track.gaps)
     return View(
-        name, edges, unit, middle, camera.project(middle), tip, float(np.median(sigma)), signal.why, notes
+        name, edges, unit, middle, camera.project(middle), camera.unproject(base), tip, _roughness(edges), float(np.median(sigma)), signal.why, notes
     )
 
 
@@ -129,6 +131,27 @@ def _from_middle(
     raise failure
 
 
+def _first_of(signal: Signal, camera: Camera, track: Track) -> Array:
+    """Pixel (2,) where a free tube starts: where its share ends when followed backwards, else its first scan."""
+    start, way, bend = _last_way(Track(track.middle_px[::-1], track.width_px[::-1], ()))
+    width = float(np.median(track.width_px[:5]))
+    try:
+        end = end_of_tube(signal, camera, start, way, bend, width, 3 * width)
+    except Unmeasurable:
+        return start
+    return np.asarray(start + end * way + bend * end**2 / 2 * left_of(way))
+
+
+def _last_way(track: Track) -> tuple[Array, Array, float]:
+    """Place (2,), unit way (2,) and bend (1 / px, positive to the left) at the end of a track."""
+    middle = track.middle_px[-min(len(track.middle_px), 9) :]
+    chord = np.linalg.norm(middle - middle[-1], axis=1)
+    order = 2 if len(middle) >= 6 else 1
+    coefficients = np.polynomial.polynomial.polyfit(-chord, middle, order)
+    way = coefficients[1] / np.linalg.norm(coefficients[1])
+    return coefficients[0], way, float(2 * coefficients[2] @ left_of(way)) if order == 2 else 0.0
+
+
 def _distance(a: Array, b: Array) -> float:
     return float(np.sqrt(np.nansum((a - b) ** 2)))
 
@@ -144,17 +167,12 @@ def _first_pair(signal: Signal, start: Start) -> tuple[Array, Array, float]:
 
 def _tip_of(signal: Signal, camera: Camera, tube: Tube, track: Track) -> TipView:
     """Find the tip from the last part of the track, extrapolated by its way and bend."""
-    middle = track.middle_px[-min(len(track.middle_px), 9) :]
+    start, way, bend = _last_way(track)
     width = float(np.median(track.width_px[-5:]))
-    chord = np.linalg.norm(middle - middle[-1], axis=1)
-    order = 2 if len(middle) >= 6 else 1
-    coefficients = np.polynomial.polynomial.polyfit(-chord, middle, order)
-    way = coefficients[1] / np.linalg.norm(coefficients[1])
-    bend = float(2 * coefficients[2] @ left_of(way)) if order == 2 else 0.0
     ratio = 1.0
     if tube.tip.shape == "ball" and tube.tip.diameter_mm is not None and tube.diameter_mm is not None:
         ratio = tube.tip.diameter_mm / tube.diameter_mm
-    return find_tip(signal, camera, tube.tip, coefficients[0], way, bend, width, ratio)
+    return find_tip(signal, camera, tube.tip, start, way, bend, width, ratio)
 
 
 def _before_tip(edges: Array, sigma: Array, tip: TipView, track: Track, tube: Tube) -> tuple[Array, Array]:
@@ -171,3 +189,13 @@ def _before_tip(edges: Array, sigma: Array, tip: TipView, track: Track, tube: Tu
     near = np.linalg.norm(middle - tip.px, axis=1) < 1.5 * width + room
     keep = ~near | ((tip.px - middle) @ way > room)
     return edges[keep], sigma[keep]
+
+
+def _roughness(edges: Array) -> Array:
+    """Robust deviation (2,) of each row of edges (N, 2, 2) from the line of its neighbours, across the tube."""
+    across = edges[:, 0] - edges[:, 1]
+    across = across / np.linalg.norm(across, axis=1, keepdims=True)
+    second = np.diff(edges, 2, axis=0)
+    off = np.abs(np.einsum("nsk,nk->ns", second, across[1:-1]))
+    # A second difference of independent deviations has sqrt(6) times their deviation.
+    return np.maximum(1.4826 * np.median(off, axis=0) / np.sqrt(6), 0.02)

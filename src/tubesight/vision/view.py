@@ -54,8 +54,12 @@ class View:
         (N, 3) centreline as ``v = (x, y, 1)``: the bisector of the two unit edge rays.
     centreline_px
         (N, 2) the same as pixels.
+    base
+        (3,) ray ``v = (x, y, 1)`` of the place where the tube starts: the projected clamp, or where its edges begin.
     tip
         The end of the tube.
+    edge_sd_px
+        (2,) roughness of the left and right row of edges: robust deviation of an edge from its neighbours' line.
     blur_px
         Measured width of the edges as the sigma of a Gaussian, median.
     segmenter
@@ -69,14 +73,16 @@ class View:
     edge_rays: Array
     rays: Array
     centreline_px: Array
+    base: Array
     tip: TipView
+    edge_sd_px: Array
     blur_px: float
     segmenter: str
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.edges_px)
-        shapes = {"edges_px": (n, 2, 2), "edge_rays": (n, 2, 3), "rays": (n, 3), "centreline_px": (n, 2)}
+        shapes = {"edges_px": (n, 2, 2), "edge_rays": (n, 2, 3), "rays": (n, 3), "centreline_px": (n, 2), "base": (3,), "edge_sd_px": (2,)}
         for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 

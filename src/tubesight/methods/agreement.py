@@ -1,0 +1,88 @@
+"""What the views say together: the tip, the base, and how well a curve agrees with all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from tubesight.core import Array, Status, Unmeasurable
+from tubesight.geometry.cone import place_along
+from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.rig import Rig
+from tubesight.vision.view import View
+
+# Largest distance of the tip rays from each other; a quarter of a tube's width more where the base is only an edge of the
+# picture of a holder.
+_TIP_GAP_MAX_PX = 4.0
+_BASE_GAP_WIDTHS = 0.5
+
+
+def triangulate_tip(views: Mapping[str, View], rig: Rig) -> Array:
+    """Tip (3,) from the axes of the tips in all views.
+
+    Raises
+    ------
+    Unmeasurable
+        If the axes do not meet.
+    """
+    rays = {name: (view.tip.axis / view.tip.axis[2])[None] for name, view in views.items()}
+    tip = rig.triangulate(rays)[0]
+    for name, view in views.items():
+        off = float(np.linalg.norm(rig.project(name, tip) - view.tip.px))
+        if not off <= _TIP_GAP_MAX_PX:
+            raise Unmeasurable(Status.VIEWS_DISAGREE, detail=f"the tip's rays miss each other by {off:.1f} px in {name}")
+    return tip
+
+
+def base_of(views: Mapping[str, View], rig: Rig) -> Array | None:
+    """Base (3,) of a free tube from the places where its ends are seen, or None where they do not meet."""
+    base = rig.triangulate({name: view.base[None] for name, view in views.items()})[0]
+    for name, view in views.items():
+        off = float(np.linalg.norm(rig.project(name, base) - rig.cameras[name].project(view.base)))
+        if not off <= _BASE_GAP_WIDTHS * float(np.median(view.widths_px)):
+            return None
+    return base
+
+
+def reprojection_rms_px(curve: Curve3D, views: Mapping[str, View], rig: Rig) -> float:
+    """Root mean square distance of the views' centrelines and tips from the reprojected curve, all views, pixels."""
+    points = curve.at(np.linspace(0.0, curve.length_mm, 100))
+    squares = []
+    for name, view in views.items():
+        px = rig.project(name, points)
+        if not np.isfinite(px).all():
+            return float("inf")
+        _, off = place_along(px, np.vstack([view.centreline_px, view.tip.px]))
+        squares.append(off**2)
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def flat_tip(views: Mapping[str, View], rig: Rig, tip_mm: Array, tangent: Array, radius_mm: float) -> Array:
+    """Middle (3,) of a flat end face, with the rim that the tangent predicts laid on each view's contour.
+
+    Where the face is seen obliquely, its contour is half of the rim's image. The first guess of the tip is moved in each
+    picture, along the tube, by the median distance of the contour from the predicted rim.
+
+    Parameters
+    ----------
+    tip_mm, tangent
+        (3,) first guess of the tip, and the unit tangent there.
+    """
+    side = np.cross(tangent, [1.0, 0.0, 0.0] if abs(tangent[0]) < 0.9 else [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    angle = np.linspace(0, 2 * np.pi, 144, endpoint=False)[:, None]
+    rim = tip_mm + radius_mm * (np.cos(angle) * side + np.sin(angle) * np.cross(tangent, side))
+    rays = {}
+    for name, view in views.items():
+        px, back = rig.project(name, np.stack([tip_mm, tip_mm - 0.5 * radius_mm * tangent]))
+        heading = (px - back) / np.linalg.norm(px - back)
+        left = np.array([heading[1], -heading[0]])
+        ring, contour = rig.project(name, rim) - px, view.tip.contour_px - px
+        across, ahead = contour @ left, contour @ heading
+        front = ring[np.argsort(ring @ left)]
+        front = front[front @ heading >= 0]
+        inner = np.abs(across) < 0.85 * np.abs(front @ left).max()
+        shift = float(np.median(ahead[inner] - np.interp(across[inner], front @ left, front @ heading)))
+        rays[name] = rig.cameras[name].unproject(px + shift * heading)[None]
+    return np.asarray(rig.triangulate(rays)[0])
