@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tubesight.methods import METHODS
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "tubesight"
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -75,9 +77,13 @@ def test_heavy_and_optional_modules_stay_where_they_belong(path: Path) -> None:
     if path.parent.name == "cli":
         heavy = {"numpy", "scipy", "cv2", "pydantic", "numba"} & {name.split(".")[0] for name in at_import}
         assert not heavy, "`tubesight --help` has to answer at once: import in the command"
-    if path.parent.name == "methods" and path.name not in ("__init__.py", "registry.py"):
-        siblings = {name for name in anywhere if name.startswith("tubesight.methods.")}
-        assert not siblings, "a method takes its starter as a field; the registry wires them"
+
+
+def test_no_method_imports_another() -> None:
+    """A method that starts from another takes the starter as a field; the registry wires them."""
+    for name in METHODS:
+        others = {f"tubesight.methods.{other}" for other in METHODS if other != name}
+        assert not others & imports(PACKAGE / "methods" / f"{name}.py"), name
 
 
 def test_every_module_says_what_it_is_for() -> None:

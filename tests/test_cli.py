@@ -15,10 +15,15 @@ import pytest
 from small_set import PHANTOMS, write_small_set
 from tubesight import __version__
 from tubesight.cli.main import main
+from tubesight.core import Status
 from tubesight.files.rig import load_rig, save_rig
 from tubesight.files.safe import InputError
 from tubesight.files.tables import COLUMNS, read_curves, read_shapes, write_curves, write_shapes
+from tubesight.geometry.curve import Arc
 from tubesight.geometry.rig import Rig
+from tubesight.geometry.shape import shape_of
+from tubesight.outputs.rows import shape_row
+from tubesight.sensor import Reconstruction
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +83,7 @@ def test_run_writes_everything(data: Path, out: Path) -> None:
     assert tuple(rows[0]) == COLUMNS
     assert [row["frame"] for row in rows] == ["1", "2", "10"]
     assert {row["status"] for row in rows} == {"ok"}
-    assert rows[1]["orientation_deg"] == "" and rows[1]["bending_deg"] != "", "a straight tube has no orientation"
+    assert rows[0]["time_s"] == "" and rows[0]["tip_x_mm"] != "", "a number that is not known is an empty cell"
     run = json.loads((out / "run.json").read_text())
     assert run["configuration"]["method"] == rows[0]["method"]
     assert run["version"] == __version__ and len(run["rig"]["sha256"]) == 64 and run["machine"]["python"]
@@ -96,15 +101,18 @@ def test_curves_go_from_base_to_tip(out: Path) -> None:
     steps = np.linalg.norm(np.diff(curves.xyz_mm, axis=1), axis=2)
     # Chords of 1.5 mm on a radius of 140 mm are 7e-6 mm short of their arcs.
     assert np.allclose(steps, np.diff(curves.s_mm, axis=1), rtol=0, atol=1e-4)
+    # At the tip the deviation of the position is that of its three coordinates together.
+    tips_sd = [np.linalg.norm([row.tip_x_sd_mm, row.tip_y_sd_mm, row.tip_z_sd_mm]) for row in rows]
+    assert np.allclose(curves.sd_mm[:, -1], tips_sd, rtol=1e-5)
 
 
 def test_run_measures_the_simulated_tube(data: Path, out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_in_process("evaluate", out, "--truth", data / "truth.json", "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["n"], result["failures"], result["without_row"], result["without_truth"]) == (3, 0, [], [])
-    # Edges good to 0.1 px at 1.8 px/mm, times the two or three that a tip rests on.
-    assert result["max"]["tip_mm"] < 0.2
-    assert result["max"]["curve_mm"] < 0.2
+    # The way from pictures to the table is what is tested here: half a pixel at 1.8 px/mm.
+    assert result["max"]["tip_mm"] < 0.3
+    assert result["max"]["curve_mm"] < 0.35
     assert result["frames"]["2"]["orientation_deg"] is None
 
 
@@ -116,6 +124,23 @@ def test_overlay_shows_the_photographs_with_the_curve(data: Path, out: Path) -> 
     magenta = np.array([230, 60, 255])
     assert (np.abs(shown.astype(int) - magenta).max(-1) < 40).sum() > 100
     assert np.median(np.abs(shown.astype(int) - plain)) == 0
+
+
+def test_straight_tube_is_ok_without_orientation(tmp_path: Path) -> None:
+    line = Arc(np.zeros(2), 150.0)
+    result = Reconstruction("1", Status.OK, ("a note", "another"), shape_of(line, 0.1), line, {}, "cone_ray", 0.1)
+    write_shapes(tmp_path / "shapes.csv", [shape_row(result)])
+    (row,) = csv.DictReader((tmp_path / "shapes.csv").open(encoding="utf-8"))
+    assert (row["status"], row["bending_deg"], row["orientation_deg"]) == ("ok", "0", "")
+    assert (row["tip_z_mm"], row["model"], row["notes"]) == ("150", "line", "a note; another")
+    assert row["tip_x_sd_mm"] == "", "a deviation that is not known is not zero"
+
+
+def test_failures_have_no_numbers() -> None:
+    line = Arc(np.zeros(2), 150.0)
+    row = shape_row(Reconstruction("1", Status.TIP_NOT_FOUND, (), shape_of(line, 0.1), line, {}, "cone_ray", 0.1))
+    assert np.isnan([row.tip_x_mm, row.length_mm, row.bending_deg, row.fit_rms_px]).all()
+    assert row.notes == Status.TIP_NOT_FOUND.advice
 
 
 def test_run_says_what_it_assumes_and_chooses(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -132,7 +157,7 @@ def test_json_leaves_stdout_to_json(data: Path, tmp_path: Path, capsys: pytest.C
     assert run_in_process(*run_args(data, tmp_path), "--json") == 0
     result = json.loads(capsys.readouterr().out)
     assert [row["frame"] for row in result["rows"]] == ["1", "2", "10"]
-    assert result["rows"][1]["orientation_deg"] is None
+    assert result["rows"][1]["time_s"] is None
     assert all(Path(path).is_file() for path in result["files"])
 
 

@@ -18,7 +18,7 @@ from tubesight.methods.agreement import reprojection_rms_px
 from tubesight.vision.see import clamp_start, see
 from tubesight.vision.view import View
 
-DEFAULT_METHOD = "cone_ray"
+DEFAULT_METHOD = "silhouette"
 # Standard deviation of a triangulated tip across the tube's axis on a photograph, px: with three of it the azimuth of a
 # straight tube is noise.
 _TIP_SD_PX = 0.15

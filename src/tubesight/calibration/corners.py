@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from tubesight.core import Array, Board, Image, readonly
 
+Ids = NDArray[np.intp]
+
 # Distance from a corner at which the four squares around it are sampled, as a share of the square: near the middle of
 # a chessboard's squares; on ChArUco the border between corner and marker is (square - marker) / 2 wide.
 _CHESSBOARD_SAMPLE = 0.3
@@ -31,7 +33,7 @@ class Corners:
         (N, 2)
     """
 
-    ids: NDArray[np.intp]
+    ids: Ids
     px: Array
 
     def __post_init__(self) -> None:
@@ -89,7 +91,7 @@ def crossing(gray: Image, corner: Array, right: Array, down: Array, share: float
 
 
 def steps(grid: Array) -> tuple[Array, Array]:
-    """Steps of one square along columns and rows (rows, columns, 2) of a grid; NaN where neighbours are missing."""
+    """Return a grid's steps of one square along columns and rows (rows, columns, 2); NaN where both neighbours lack."""
     pairs = []
     for axis in (1, 0):
         n = grid.shape[axis]
@@ -152,7 +154,7 @@ def continues_beyond(gray: Image, board: Board, corners: Corners) -> bool:
     return False
 
 
-def refine(gray: Image, px: Array, half_window_px: NDArray[np.intp]) -> Array:
+def refine(gray: Image, px: Array, half_window_px: Ids) -> Array:
     """Refine corners (N, 2) to sub-pixels, each within its own window (N,); those too near the border stay."""
     refined = np.array(px, dtype=np.float64)
     height, width = gray.shape

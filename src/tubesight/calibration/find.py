@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 import cv2
 import numpy as np
 
-from tubesight.calibration.corners import CROSSING, Corners, contrast, refine, sample_share, steps
-from tubesight.core import Array, Board, Image, InputError
+from tubesight.calibration.corners import CROSSING, Corners, Ids, contrast, refine, sample_share, steps
+from tubesight.core import Array, Board, Image
 
 # Longest side of the picture searched first: a failing search at 1920 pixels takes 0.8 s, at 960 0.2 s, and of 32
 # pictures of 1920 x 1080 all were found at this size. Larger pictures are searched at 1920 at most.
@@ -40,17 +40,22 @@ def find_corners(gray: Image, board: Board, *, thorough: bool = True) -> Corners
 def _find_chessboard(gray: Image, board: Board, thorough: bool) -> Corners | None:
     columns, rows = board.inner_corners
     for search, scale in _searches(gray, thorough):
-        small = gray if scale == 1 else cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        found, px = search(small, (columns, rows))
+        found, px = search(_scaled(gray, scale), (columns, rows))
         if not found:
             continue
         # Pixel centres are at integers: pixel 0 of the small picture covers pixels 0 to 1 / scale - 1.
         grid = (px.reshape(rows, columns, 2).astype(np.float64) + 0.5) / scale - 0.5
-        grid = refine(gray, grid.reshape(-1, 2), window(grid, 2).ravel()).reshape(grid.shape)
+        grid = refine(gray, grid.reshape(-1, 2), _window(grid, 2).ravel()).reshape(grid.shape)
         oriented = _oriented(gray, grid, board)
         if oriented is not None:
             return Corners(np.arange(rows * columns), oriented.reshape(-1, 2))
     return None
+
+
+def _scaled(gray: Image, scale: float) -> Image:
+    if scale == 1:
+        return gray
+    return np.asarray(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 _Search = Callable[[Image, tuple[int, int]], tuple[bool, Array]]
@@ -66,7 +71,9 @@ def _searches(gray: Image, thorough: bool) -> Iterator[tuple[_Search, float]]:
 
 
 def _classic(gray: Image, inner: tuple[int, int]) -> tuple[bool, Array]:
-    found, px = cv2.findChessboardCorners(gray, inner, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE)
+    found, px = cv2.findChessboardCorners(
+        gray, inner, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    )
     return bool(found), np.asarray(px)
 
 
@@ -100,7 +107,7 @@ def _oriented(gray: Image, grid: Array, board: Board) -> Array | None:
     return grid
 
 
-def turns(board: Board) -> list[np.ndarray[tuple[int], np.dtype[np.intp]]]:
+def turns(board: Board) -> list[Ids]:
     """Orders of the corners that no picture of a chessboard can tell apart, the identity first.
 
     Each is an index array: corner ``i`` of the board may be corner ``turn[i]`` of another picture of it.
@@ -127,7 +134,7 @@ def ambiguity(board: Board) -> str:
     )
 
 
-def window(grid: Array, least_px: int, share: float = 0.45) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
+def _window(grid: Array, least_px: int) -> Ids:
     """Half windows (rows, columns) for refining: 0.45 of the square's smaller height, `least_px` to 7 pixels.
 
     A window that reaches the neighbouring corners drags the corner; a larger one averages more noise.
@@ -136,7 +143,7 @@ def window(grid: Array, least_px: int, share: float = 0.45) -> np.ndarray[tuple[
     area = np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0])
     longest = np.maximum(np.linalg.norm(right, axis=-1), np.linalg.norm(down, axis=-1))
     height = np.nan_to_num(area / np.maximum(longest, 1e-9), nan=0.0)
-    return np.clip(share * height, least_px, 7).astype(np.intp)
+    return np.asarray(np.clip(0.45 * height, least_px, 7), dtype=np.intp)
 
 
 def _find_charuco(gray: Image, board: Board) -> Corners | None:
@@ -144,19 +151,20 @@ def _find_charuco(gray: Image, board: Board) -> Corners | None:
     px, ids, _, _ = detector.detectBoard(gray)
     if ids is None or len(ids) < _MIN_CHARUCO_CORNERS:
         return None
-    order = np.argsort(np.ravel(ids))
-    corners = Corners(np.ravel(ids)[order], np.reshape(px, (-1, 2))[order])
+    numbers = np.ravel(ids).astype(np.intp)
+    order = np.argsort(numbers)
+    corners = Corners(numbers[order], np.reshape(px, (-1, 2)).astype(np.float64)[order])
     spread = np.linalg.matrix_rank(board.corners_mm[corners.ids, :2] - board.corners_mm[corners.ids[0], :2])
     return corners if spread == 2 else None
 
 
 def charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
-    """OpenCV's ChArUco board; raises `InputError` where the dictionary is unknown or too small."""
+    """OpenCV's ChArUco board; raises `ValueError` where the dictionary is unknown or too small."""
     name = str(board.dictionary)
     if not name.startswith("DICT_") or not hasattr(cv2.aruco, name):
-        raise InputError(f"board.yaml: dictionary: OpenCV has no {name!r}; use the one the board was printed with")
+        raise ValueError(f"dictionary: OpenCV has no {name!r}; use the one the board was printed with")
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     markers = board.squares[0] * board.squares[1] // 2
     if markers > len(dictionary.bytesList):
-        raise InputError(f"board.yaml: {name} has {len(dictionary.bytesList)} markers, the board needs {markers}")
+        raise ValueError(f"{name} has {len(dictionary.bytesList)} markers, the board needs {markers}")
     return cv2.aruco.CharucoBoard(board.squares, board.square_mm, float(board.marker_mm or 0), dictionary)

@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from tubesight.calibration.bundle import Scene
 from tubesight.calibration.corners import Corners
 from tubesight.calibration.pattern import picture_of
-from tubesight.core import Array, Board, Image, Mask
+from tubesight.calibration.scene import Scene
+from tubesight.core import Array, Board, Image
+
+Box = NDArray[np.float32]
 
 # Chebyshev distance from the corner, in squares, of the pixels that take part: short of the neighbouring corners, and
 # within the outer squares also where these are cut narrower than the others.
@@ -29,6 +32,8 @@ _BLURS_PX = (0.6, 1.0, 1.6, 2.5)
 # Share of the brightness's variance around a corner that the pattern has to explain: 0.9 to 0.99 on good pictures, 0.8
 # with blur misjudged by a factor of two, near 0 on a finger or beside the board.
 _MIN_EXPLAINED = 0.7
+# Determinant of the scaled normal equations below which the surroundings do not fix the corner (a plain patch).
+_MIN_FIXED = 1e-6
 # A corner this far from its projection is another one, or hidden.
 _MAX_SHIFT_PX = 2.0
 # A board the finder missed in this camera counts where at least this share of its corners appears.
@@ -62,7 +67,7 @@ def guided_corners(
     if (high - low < 8).any():
         return None
     pattern, squares = picture_of(board, scene.cameras[camera], pose, tuple(low), tuple(high))
-    box = gray[low[1] : high[1], low[0] : high[0]].astype(np.float32)
+    box: Box = gray[low[1] : high[1], low[0] : high[0]].astype(np.float32)
     model = _best_blur(box, pattern, squares, board)
     slopes = np.gradient(model, axis=1), np.gradient(model, axis=0)
     places = board.corners_mm[:, :2] / board.square_mm + (0 if board.type == "charuco" else 1)
@@ -77,7 +82,7 @@ def guided_corners(
     return Corners(np.array(ids), np.array(px))
 
 
-def _best_blur(box: Array, pattern: Array, squares: Array, board: Board) -> Array:
+def _best_blur(box: Box, pattern: Array, squares: Array, board: Board) -> Array:
     """Pattern blurred as much as explains the brightness of the whole board best."""
     inside = ((squares > 0.5) & (squares < np.array(board.squares) - 0.5)).all(-1)
     levels = box[inside]
@@ -93,7 +98,7 @@ def _best_blur(box: Array, pattern: Array, squares: Array, board: Board) -> Arra
 
 
 def _shift(
-    box: Array, model: Array, slopes: tuple[Array, Array], squares: Array, at: Array, place: Array
+    box: Box, model: Array, slopes: tuple[Array, Array], squares: Array, at: Array, place: Array
 ) -> Array | None:
     """Shift (2,) that lays the model over the picture around one corner; None where it does not fit.
 
@@ -111,13 +116,16 @@ def _shift(
     if (last <= first).any():
         return None
     window = (slice(first[1], last[1]), slice(first[0], last[0]))
-    taken: Mask = (np.abs(squares[window] - place) < _REACH).all(-1)
+    taken = np.asarray((np.abs(squares[window] - place) < _REACH).all(-1))
     y, x = np.nonzero(taken)
     if len(x) < _MIN_PIXELS or not (first + 1 < at).all() or not (at < last - 2).all():
         return None
     values = model[window][taken]
     columns = np.stack([np.ones_like(values), values, -slopes[0][window][taken], -slopes[1][window][taken]], -1)
-    solve = np.linalg.pinv(columns)
+    normal = columns.T @ columns
+    if np.linalg.det(normal / np.maximum(np.sqrt(np.multiply.outer(*2 * [normal.diagonal()])), 1e-9)) < _MIN_FIXED:
+        return None
+    solve = np.linalg.inv(normal) @ columns.T
     shift = np.zeros(2)
     for _ in range(2):
         px = (np.stack([x, y], -1) + first + shift).astype(np.float32)

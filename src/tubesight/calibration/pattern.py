@@ -22,53 +22,35 @@ _MIN_CELL, _MAX_CELL = 64, 256
 _STEP_PX = 4
 
 
-def shade(board: Board, squares: Array) -> Array:
-    """Brightness, 0 or 1, of a board at points (..., 2) in squares from its outer corner; white outside.
+@lru_cache(maxsize=8)
+def _texture(board: Board, cell: int) -> Array:
+    """Draw the board with half a square of white margin, `cell` pixels a square: the mean brightness of each pixel.
 
-    The colour of a chessboard's outer corner square at (0, 0) is white (board frames: see the file formats).
+    The outer corner square at (0, 0) of a chessboard is white, of a ChArUco board black (see the file formats).
     """
     columns, rows = board.squares
-    place = np.floor(squares).astype(np.intp)
-    i, j = (np.clip(place[..., k], 0, n - 1) for k, n in ((0, columns), (1, rows)))
-    inside = (place[..., 0] == i) & (place[..., 1] == j)
-    if board.marker_mm is None:
-        return np.where(inside, (i + j + 1) % 2, 1.0)
-    table = _marker_table(board)
-    bits = table.shape[-1]
-    share = board.marker_mm / board.square_mm
-    cell = (squares - place - (1 - share) / 2) / share * bits
-    bit = np.clip(np.floor(cell).astype(np.intp), 0, bits - 1)
-    in_marker = ((cell >= 0) & (cell < bits)).all(-1)
-    white = table[j, i, 0, 0] != _BLACK_SQUARE
-    marked = np.where(in_marker, table[j, i, bit[..., 1], bit[..., 0]] == 1, True)
-    return np.where(inside, (white & marked).astype(float), 1.0)
+    charuco = board.type == "charuco"
+    white = (np.add.outer(np.arange(rows), np.arange(columns)) + charuco) % 2 == 0
+    squares = np.repeat(np.repeat(white.astype(np.float64), cell, 0), cell, 1)
+    if charuco:
+        detector_board = charuco_board(board)
+        dictionary = detector_board.getDictionary()
+        count = dictionary.markerSize + 2
+        cover = _cover(cell, count, float(board.marker_mm or 0) / board.square_mm)
+        whole = cover.sum(1)
+        for marker, corners in zip(np.ravel(detector_board.getIds()), detector_board.getObjPoints(), strict=True):
+            bits = dictionary.generateImageMarker(int(marker), count, borderBits=1) > 127
+            x, y = np.floor(np.mean(corners, 0)[:2] / board.square_mm).astype(int) * cell
+            squares[y : y + cell, x : x + cell] = 1 - np.multiply.outer(whole, whole) + cover @ bits @ cover.T
+    return np.pad(squares, cell // 2, constant_values=1.0)
 
 
-# Stands for "no marker here" among the bits, which are 0 and 1.
-_BLACK_SQUARE = 2
-
-
-@lru_cache(maxsize=8)
-def _texture(board: Board, cell: int) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
-    """The board with half a square of margin, `cell` pixels a square; each the mean brightness of its area."""
-    fine = 4
-    x, y = ((np.arange((n + 1) * cell * fine) + 0.5) / (cell * fine) - 0.5 for n in board.squares)
-    rows = [shade(board, np.stack(np.meshgrid(x, part), -1)) for part in np.split(y, board.squares[1] + 1)]
-    values = np.concatenate(rows).reshape(len(y) // fine, fine, len(x) // fine, fine)
-    return values.mean((1, 3), dtype=np.float32)
-
-
-def _marker_table(board: Board) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
-    """Bits (rows, columns, n, n) of the marker in each white square, border included; 2 in black squares."""
-    charuco = charuco_board(board)
-    dictionary = charuco.getDictionary()
-    bits = dictionary.markerSize + 2
-    columns, rows = board.squares
-    table = np.full((rows, columns, bits, bits), _BLACK_SQUARE, dtype=np.intp)
-    for marker, corners in zip(np.ravel(charuco.getIds()), charuco.getObjPoints(), strict=True):
-        i, j = np.floor(np.mean(corners, 0)[:2] / board.square_mm).astype(int)
-        table[j, i] = dictionary.generateImageMarker(int(marker), bits, borderBits=1) > 127
-    return table
+def _cover(cell: int, count: int, share: float) -> Array:
+    """Share (cell, count) of each of `cell` pixels along a square that each bit of its marker covers."""
+    ends = (1 - share) / 2 + share * np.arange(count + 1) / count
+    pixel = np.arange(cell)[:, None] / cell
+    overlap = np.minimum(pixel + 1 / cell, ends[1:]) - np.maximum(pixel, ends[:-1])
+    return np.asarray(np.maximum(overlap, 0.0) * cell)
 
 
 def picture_of(
@@ -108,8 +90,10 @@ def picture_of(
     cell = _cell(middle)
     places = ((finer(_STEP_PX * _SAMPLES) + 0.5) * cell - 0.5).astype(np.float32)
     texture = _texture(board, cell)
-    values = cv2.remap(texture, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0)
-    return values.reshape(height, _SAMPLES, width, _SAMPLES).mean((1, 3), dtype=np.float64), middle
+    values = cv2.remap(
+        texture, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=1.0
+    )
+    return np.asarray(values).reshape(height, _SAMPLES, width, _SAMPLES).mean((1, 3)), middle
 
 
 def _cell(squares: Array) -> int:

@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 
 from tubesight.calibration.corners import Corners, continues_beyond
+from tubesight.calibration.errors import CalibrationError
 from tubesight.calibration.find import find_corners
-from tubesight.core import Board, Image, InputError
+from tubesight.core import Board, Image
 
 # Pictures looked at, over all cameras, before a folder without any board is refused: a failing search takes 0.4 s.
 _SAMPLE = 6
@@ -28,7 +29,8 @@ Pictures = Mapping[str, Mapping[str, Callable[[], Image]]]
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how many are done and how many there are."""
 
-T, R = TypeVar("T"), TypeVar("R")
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +82,7 @@ def search(pictures: Pictures, board: Board, progress: Progress) -> Search:
 
     Raises
     ------
-    InputError
+    CalibrationError
         If a camera's pictures differ in size, no sampled picture shows the board, or the pictures show a larger one.
     """
     found: dict[tuple[str, str], Corners | None] = {}
@@ -152,13 +154,11 @@ def _look(gray: Image, board: Board, thorough: bool) -> tuple[tuple[int, int], C
     return (width, height), corners, corners is not None and continues_beyond(gray, board, corners)
 
 
-def _check_size(
-    key: tuple[str, str], size: tuple[int, int], sizes: dict[str, tuple[str, tuple[int, int]]]
-) -> None:
+def _check_size(key: tuple[str, str], size: tuple[int, int], sizes: dict[str, tuple[str, tuple[int, int]]]) -> None:
     camera, view = key
     first, expected = sizes.setdefault(camera, (view, size))
     if size != expected:
-        raise InputError(
+        raise CalibrationError(
             f"{camera}: picture {view} has {size[0]} x {size[1]} pixels, {first} has {expected[0]} x {expected[1]}; "
             "take all pictures of a camera with one setting"
         )
@@ -168,12 +168,12 @@ def _refuse(board: Board, looked: int, beyond: Sequence[tuple[str, str]]) -> Non
     columns, rows = board.squares
     what = f"a {board.type} board of {columns} x {rows} squares"
     if beyond:
-        raise InputError(
+        raise CalibrationError(
             f"the pictures show a larger pattern than {what} ({beyond[0][0]}, picture {beyond[0][1]}); "
             "count all squares, outer ones included, and mend `squares` in the board file"
         )
     more = " and its dictionary and marker size" if board.type == "charuco" else ""
-    raise InputError(
+    raise CalibrationError(
         f"none of the {looked} pictures looked at shows {what}; "
         f"check `squares` in the board file{more} (outer squares count), and that the whole board is sharp and lit"
     )

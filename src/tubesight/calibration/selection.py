@@ -13,10 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tubesight.calibration.bundle import Adjusted, Free, Observation, Scene, adjust, linearised
+from tubesight.calibration.bundle import Adjusted, adjust
+from tubesight.calibration.correlation import views_apart
+from tubesight.calibration.scene import Free, Observation, Scene
 from tubesight.core import Array
 
-BASE = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
+BASE: tuple[str, ...] = ("f", "cx", "cy", "k1", "k2", "p1", "p2")
 # An extra parameter has to lower the error of unseen views by this many standard errors of the mean change ...
 _STANDARD_ERRORS = 2.0
 # ... and by this share: a gain of less moves no point of the scene by anything that matters.
@@ -68,17 +70,11 @@ def view_errors(scene: Scene, observations: Sequence[Observation], names: tuple[
 
 
 def _left_out(solved: Adjusted, camera: str, names: tuple[str, ...]) -> Array:
-    residuals, derivatives = [], []
-    for o, rows in zip(solved.observations, linearised(solved, {camera: names}), strict=True):
-        by_lens, by_pose, r = rows
-        basis, _ = np.linalg.qr(by_pose)
-        residuals.append(r - basis @ (basis.T @ r))
-        derivatives.append(by_lens - basis @ (basis.T @ by_lens))
-        assert o.camera == camera
-    squares = [a.T @ a for a in derivatives]
+    apart = views_apart(solved, {camera: names})
+    squares = [a.T @ a for _, a in apart]
     total = np.sum(squares, axis=0)
     errors = []
-    for r, a, square in zip(residuals, derivatives, squares, strict=True):
+    for (r, a), square in zip(apart, squares, strict=True):
         # Views left may not fix every parameter: the pseudo-inverse leaves out what they do not say.
         e = r + a @ (np.linalg.pinv(total - square, rcond=1e-10, hermitian=True) @ (a.T @ r))
         errors.append(float(e @ e))

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tubesight.calibration.bundle import Scene
-from tubesight.calibration.corners import Corners
+from tubesight.calibration.corners import Corners, Ids
+from tubesight.calibration.errors import CalibrationError
 from tubesight.calibration.find import turns
-from tubesight.core import Array, Board, InputError
+from tubesight.calibration.scene import Scene
+from tubesight.core import Array, Board
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.pose import Pose
 
@@ -54,7 +55,7 @@ def start_lens(views: Mapping[str, Corners], board: Board, size_px: tuple[int, i
         points = [board.corners_mm[views[n].ids].astype(np.float32).reshape(-1, 1, 3) for n in names]
         px = [views[n].px.astype(np.float32).reshape(-1, 1, 2) for n in names]
         _, matrix, distortion, turn, shift, _, _, errors = cv2.calibrateCameraExtended(
-            points, px, size_px, None, None, flags=cv2.CALIB_FIX_K3
+            points, px, size_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
         )
         view_px = np.ravel(errors)
         worst = int(np.argmax(view_px))
@@ -83,7 +84,7 @@ def start_scene(lenses: Mapping[str, StartLens], found: Found, board: Board) -> 
 
     Raises
     ------
-    InputError
+    CalibrationError
         If a camera shares no view with the others.
     """
     first = next(iter(lenses))
@@ -96,7 +97,7 @@ def start_scene(lenses: Mapping[str, StartLens], found: Found, board: Board) -> 
         poses = lenses[name].camera_from_board
         shared = [v for v in poses if v in boards]
         if not shared:
-            raise InputError(
+            raise CalibrationError(
                 f"{name}: no picture in which this camera and {' or '.join(placed)} see the board at the same time; "
                 "add pictures with the board turned so that both see it"
             )
@@ -111,7 +112,7 @@ def start_scene(lenses: Mapping[str, StartLens], found: Found, board: Board) -> 
 
 def place_camera(
     base_from_board: Mapping[str, Pose], camera_from_board: Mapping[str, Pose], board: Board
-) -> tuple[Pose, dict[str, np.ndarray[tuple[int], np.dtype[np.intp]]]]:
+) -> tuple[Pose, dict[str, Ids]]:
     """Find ``camera_from_base`` on which most views agree, and the views that have to be renumbered for it.
 
     Parameters
@@ -149,7 +150,7 @@ def place_camera(
     return best[1], {v: orders[i] for v, i in zip(views, best[2], strict=True) if i}
 
 
-def _symmetry(corners: Array, order: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Pose:
+def _symmetry(corners: Array, order: Ids) -> Pose:
     """Rigid turn of the board (in its plane) that takes corner i to where corner ``order[i]`` lies."""
     to, at = corners[order], corners
     x = to[1] - to[0]
@@ -158,8 +159,8 @@ def _symmetry(corners: Array, order: np.ndarray[tuple[int], np.dtype[np.intp]]) 
     return Pose(pose.rotation, to[0] - pose.rotate(at[0]))
 
 
-def _renumber(corners: Corners, order: np.ndarray[tuple[int], np.dtype[np.intp]] | None) -> Corners:
-    """Number corners as in the other cameras: the one called ``order[i]`` is corner i."""
+def _renumber(corners: Corners, order: Ids | None) -> Corners:
+    """Give corners the numbers of the other cameras: the one called ``order[i]`` is corner i."""
     if order is None:
         return corners
     ids = np.argsort(order)[corners.ids]

@@ -14,7 +14,7 @@ import numpy as np
 from tubesight.core import Array, readonly
 
 # Below this ratio of spreads the points are on a line as far as float64 can tell: the undistorted pixels of a straight
-# tube stay below 5e-15, of one a tenth of a picture long below 1e-13. A curve it straightens is 1e-11 of its length deep.
+# tube stay below 5e-15, of one a tenth of a picture long below 1e-13. It straightens curves 1e-11 of their length deep.
 _LINE_RATIO = 1e-11
 # Ratio of singular values under which a direction is empty: exact points give 1e-15, noise of 1e-6 px gives 1e-8.
 _EMPTY = 1e-12
@@ -26,8 +26,8 @@ _DEGENERATE = 1e-12
 class Conic:
     """Conic ``v^T C v = 0`` with ``C = frame^T normal frame``.
 
-    The image of a circular arc can be a hyperbola (when the full circle crosses the camera's focal plane), and the image
-    of a straight tube is a double line: every kind is legal.
+    The image of a circular arc can be a hyperbola (when the full circle crosses the camera's focal plane), and the
+    image of a straight tube is a double line: every kind is legal.
 
     Attributes
     ----------

@@ -57,11 +57,15 @@ class Family:
         Number of parameters; the last one is the length in mm, the others are angles in radians or pure numbers.
     nodes
         ``(B, count) -> Nodes``.
+    soft
+        Indices of parameters that the data may leave open (shares of pieces, ratios of axes), each with the deviation from 0
+        that is expected of it.
     """
 
     name: str
     count: int
     nodes: Callable[[Array], Nodes]
+    soft: tuple[tuple[int, float], ...] = ()
 
 
 def circle_nodes(parameters: Array) -> Nodes:
@@ -206,11 +210,11 @@ def spatial_nodes(parameters: Array) -> Nodes:
 
 FAMILIES: dict[str, Family] = {
     "circle": Family("circle", 3, circle_nodes),
-    "ellipse": Family("ellipse", 5, ellipse_nodes),
+    "ellipse": Family("ellipse", 5, ellipse_nodes, soft=((3, 1.0),)),
     "polynomial2": Family("polynomial2", 5, polynomial_nodes),
     "polynomial3": Family("polynomial3", 6, polynomial_nodes),
-    "arcs2": Family("arcs2", 6, pieces_nodes),
+    "arcs2": Family("arcs2", 6, pieces_nodes, soft=((4, 1.0),)),
     "spatial2": Family("spatial2", 7, spatial_nodes),
-    "arcs3": Family("arcs3", 9, pieces_nodes),
+    "arcs3": Family("arcs3", 9, pieces_nodes, soft=((6, 1.0), (7, 1.0))),
     "spatial4": Family("spatial4", 11, spatial_nodes),
 }

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tubesight.core import Array
+from tubesight.core import Array, Mask
 
 # Real lenses need 3 to 6 steps; points near the edge of the invertible region halve theirs a few times more.
 _NEWTON_STEPS = 30
@@ -125,7 +125,7 @@ LENSES: dict[str, LensModel] = {
 def undistort(model: LensModel, distorted_xy: Array, coefficients: Array) -> Array:
     """Invert a lens model by Newton's method with step halving.
 
-    A step that leaves the region where the derivative is positive, or does not lower the residual, is halved; where the
+    A step that leaves the region where the lens keeps its sense, or does not lower the residual, is halved; where the
     guess itself lies outside that region the way starts on the optical axis, where every lens is regular.
 
     Parameters
@@ -140,29 +140,30 @@ def undistort(model: LensModel, distorted_xy: Array, coefficients: Array) -> Arr
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # far outside the picture; ends as NaN
         xy = model.guess(distorted_xy)
-        step, determinant, error = _newton(model, xy, distorted_xy, coefficients)
-        irregular = ~(determinant > _DETERMINANT_MIN)
-        if irregular.any():
-            xy = np.where(irregular[..., None], 0.0, xy)
-            step, determinant, error = _newton(model, xy, distorted_xy, coefficients)
+        step, regular, error = _newton(model, xy, distorted_xy, coefficients)
+        if not regular.all():
+            xy = np.where(regular[..., None], xy, 0.0)
+            step, _, error = _newton(model, xy, distorted_xy, coefficients)
         fraction = np.ones_like(error)
         for _ in range(_NEWTON_STEPS):
             if not (error > _NEWTON_TOLERANCE).any():
                 break
             trial = xy - fraction[..., None] * step
-            trial_step, determinant, trial_error = _newton(model, trial, distorted_xy, coefficients)
-            better = (determinant > _DETERMINANT_MIN) & (trial_error < error)
+            trial_step, regular, trial_error = _newton(model, trial, distorted_xy, coefficients)
+            better = regular & (trial_error < error)
             xy, step = np.where(better[..., None], trial, xy), np.where(better[..., None], trial_step, step)
             error = np.where(better, trial_error, error)
             fraction = np.where(better, 1.0, fraction / 2)
     return np.where((error < _INVERTED)[..., None], xy, np.nan)
 
 
-def _newton(model: LensModel, xy: Array, distorted_xy: Array, coefficients: Array) -> tuple[Array, Array, Array]:
-    """Newton step (..., 2) to be subtracted, determinant of the derivative and length of the residual (...)."""
+def _newton(model: LensModel, xy: Array, distorted_xy: Array, coefficients: Array) -> tuple[Array, Mask, Array]:
+    """Newton step (..., 2) to be subtracted, whether the lens is regular there, and length of the residual (...)."""
     residual = model.distort(xy, coefficients) - distorted_xy
     j = model.jacobian(xy, coefficients)
     determinant = j[..., 0, 0] * j[..., 1, 1] - j[..., 0, 1] * j[..., 1, 0]
     u, v = residual[..., 0], residual[..., 1]
     step = np.stack([j[..., 1, 1] * u - j[..., 0, 1] * v, j[..., 0, 0] * v - j[..., 1, 0] * u], -1)
-    return step / determinant[..., None], determinant, np.hypot(u, v)
+    # Past the fold one direction of the picture runs backwards (determinant), past a second one both do (trace).
+    regular = (determinant > _DETERMINANT_MIN) & (j[..., 0, 0] + j[..., 1, 1] > 0)
+    return step / determinant[..., None], regular, np.hypot(u, v)

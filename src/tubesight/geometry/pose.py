@@ -114,11 +114,13 @@ def register_rigid(points_a_mm: ArrayLike, points_b_mm: ArrayLike) -> Pose:
     Raises
     ------
     ValueError
-        If fewer than three pairs are given, or the points lie on a line.
+        If fewer than three pairs are given, a point is not finite, or the points lie on a line.
     """
     a, b = readonly(points_a_mm, (None, 3), "points_a_mm"), readonly(points_b_mm, (None, 3), "points_b_mm")
     if len(a) != len(b) or len(a) < 3:
         raise ValueError(f"rigid registration needs at least 3 pairs, got {len(a)} and {len(b)} points")
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        raise ValueError("rigid registration: a point is not finite")
     mean_a, mean_b = a.mean(0), b.mean(0)
     u, s, vt = np.linalg.svd((a - mean_a).T @ (b - mean_b))
     if s[1] <= 1e-9 * s[0]:

@@ -76,7 +76,9 @@ def shape_of(curve: Curve3D, orientation_from_mm: float) -> Shape:
         orientation_from_mm = 3 * float(np.linalg.norm(moved))
     known_rig = {k: v if np.isfinite(v) else 0.0 for k, v in rig.items()}
     both = {k: float(np.hypot(picture[k], known_rig[k])) for k in SD_NAMES}
-    phi = values[4] % (2 * np.pi) if np.hypot(values[0], values[1]) >= orientation_from_mm else float("nan")
+    side_mm = np.hypot(values[0], values[1])
+    # An azimuth of minus one rounding is a full turn after the modulus: fold that to zero.
+    phi = values[4] % (2 * np.pi) % (2 * np.pi) if side_mm > 0 and side_mm >= orientation_from_mm else float("nan")
     if np.isnan(phi):
         both["orientation"] = picture["orientation"] = rig["orientation"] = float("nan")
     return Shape(values[:3], float(values[3]), float(phi), float(values[5]), float(values[6]), both, picture, rig)

@@ -23,7 +23,7 @@ _RADIUS_SHARE = 0.2
 _BIAS_PX = 0.3
 # Steps of the differences of the curve's nodes by its parameters: angles in rad, lengths in mm.
 _STEP = 1e-6
-_ITERATIONS = 12
+_ITERATIONS = 30
 # Edges farther off than this many robust deviations carry no weight (Tukey's biweight: 4.7 for 95 % efficiency).
 _TUKEY = 4.7
 _SCALE_FLOOR_PX = 0.03
@@ -183,18 +183,18 @@ def fit_family(problem: Problem, family: Family, guess: Array) -> Fit:
     damping = 1e-3
     state = _evaluate(problem, family, p, near)
     weight = _weights(problem, state[0], first=True)
-    cost = _cost(problem, count, p, state[0], weight)
+    cost = _cost(problem, family, p, state[0], weight)
     for step in range(_ITERATIONS):
         residual, jacobian, near = state[0], state[1], state[2]
         w = weight / variances(problem, residual)
-        normal = jacobian.T @ (jacobian * w[:, None]) + np.diag(prior(problem, count, len(p)))
-        gradient = jacobian.T @ (residual * w) + _anchored(problem, count, p)
+        normal = jacobian.T @ (jacobian * w[:, None]) + np.diag(prior(problem, family, len(p)))
+        gradient = jacobian.T @ (residual * w) + _anchored(problem, family, p)
         for _ in range(8):
             delta = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), -gradient)
             trial = p + delta
             if trial[count - 1] > 0.3 * p[count - 1]:
                 tried = _evaluate(problem, family, trial, near)
-                trial_cost = _cost(problem, count, trial, tried[0], weight)
+                trial_cost = _cost(problem, family, trial, tried[0], weight)
                 if np.isfinite(trial_cost) and trial_cost <= cost * (1 + 1e-9):
                     break
             damping *= 6.0
@@ -203,7 +203,7 @@ def fit_family(problem: Problem, family: Family, guess: Array) -> Fit:
         moved = float(np.abs(state[3].points[0] - tried[3].points[0]).max())
         p, state, damping = trial, tried, max(damping / 10, 1e-9)
         weight = _weights(problem, state[0], first=moved > 1.0)
-        cost = _cost(problem, count, p, state[0], weight)
+        cost = _cost(problem, family, p, state[0], weight)
         if moved < 1e-4 and step > 1:
             break
     residual, jacobian, _, nodes = state
@@ -223,9 +223,12 @@ def variances(problem: Problem, residual: Array) -> Array:
     return np.append(problem.rays.sd_px**2, np.ones(len(residual) - len(problem.rays.sd_px)))
 
 
-def prior(problem: Problem, count: int, size: int) -> Array:
-    """Inverse variances of base and biases."""
+def prior(problem: Problem, family: Family, size: int) -> Array:
+    """Inverse variances of what is expected to be 0: open parameters of the family, base, biases, radius."""
+    count = family.count
     weight = np.full(size, _RIDGE)
+    for index, sd in family.soft:
+        weight[index] = sd**-2
     if problem.clamped:
         weight[count : count + 2], weight[count + 2 : count + 4] = _CLAMP_MM**-2, _CLAMP_RAD**-2
     else:
@@ -235,15 +238,16 @@ def prior(problem: Problem, count: int, size: int) -> Array:
     return weight
 
 
-def _anchored(problem: Problem, count: int, p: Array) -> Array:
-    """Gradient of the priors: on base and biases; the family's own parameters have none."""
-    gradient = prior(problem, count, len(p)) * p
-    gradient[:count] = 0.0
+def _anchored(problem: Problem, family: Family, p: Array) -> Array:
+    """Gradient of the priors; the ridge of the family's other parameters pulls them nowhere."""
+    gradient = prior(problem, family, len(p)) * p
+    held = {index for index, _ in family.soft}
+    gradient[[k for k in range(family.count) if k not in held]] = 0.0
     return gradient
 
 
-def _cost(problem: Problem, count: int, p: Array, residual: Array, weight: Array) -> float:
-    return float((weight * residual**2 / variances(problem, residual)).sum() + (_anchored(problem, count, p) * p).sum())
+def _cost(problem: Problem, family: Family, p: Array, residual: Array, weight: Array) -> float:
+    return float((weight * residual**2 / variances(problem, residual)).sum() + (_anchored(problem, family, p) * p).sum())
 
 
 def _weights(problem: Problem, residual: Array, first: bool) -> Array:

@@ -123,7 +123,7 @@ def _guesses(name: str, fits: list[Fit]) -> list[Array]:
     bx, by, length = done["circle"][:3]
     theta, azimuth = float(np.hypot(bx, by)), float(np.arctan2(by, bx))
     if name == "ellipse":
-        return [np.array([azimuth, theta, psi, q, length]) for psi in (0.0, np.pi / 4) for q in (0.3, -0.3)]
+        return [np.array([azimuth, theta, np.pi / 4, 0.3, length])]
     if name == "polynomial2":
         return [np.array([azimuth, theta, 0.0, 0.0, length])]
     if name == "polynomial3":

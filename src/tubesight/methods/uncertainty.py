@@ -20,7 +20,7 @@ def bread(problem: Problem, fit: Fit) -> Array:
     """Inverse normal matrix (P, P) of the weighted fit with its priors."""
     weight = fit.weight / variances(problem, fit.residual_px)
     normal = fit.jacobian.T @ (fit.jacobian * weight[:, None])
-    normal += np.diag(prior(problem, fit.family.count, len(fit.parameters)))
+    normal += np.diag(prior(problem, fit.family, len(fit.parameters)))
     return np.asarray(np.linalg.pinv(normal, hermitian=True))
 
 
@@ -49,7 +49,7 @@ def picture_covariance(problem: Problem, fit: Fit) -> Array:
     for row in np.unique(rays.side):
         shift = (fit.jacobian[:n] * weight[:n, None])[rays.side == row].sum(0) * _SHADING_PX
         middle += np.outer(shift, shift)
-    middle += np.diag(prior(problem, fit.family.count, len(fit.parameters)))
+    middle += np.diag(prior(problem, fit.family, len(fit.parameters)))
     return np.asarray(inverse @ middle @ inverse)
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tubesight.core import Status
+from tubesight.core import Array, Status
 from tubesight.files.tables import Curves, ShapeRow, write_curves, write_json, write_shapes
-from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.curve import Curve3D, NodeCurve
 from tubesight.outputs.plot3d import plots_installed, write_plot
 from tubesight.sensor import Reconstruction
 
@@ -66,9 +66,20 @@ def unreadable_row(frame: str, reason: str, method: str) -> ShapeRow:
 
 def curves_of(found: Sequence[tuple[str, Curve3D]]) -> Curves:
     """Sample curves, given with their frames, at equal arc lengths."""
-    s = np.array([np.linspace(0.0, curve.length_mm, CURVE_POINTS) for _, curve in found]).reshape(-1, CURVE_POINTS)
+    share = np.linspace(0.0, 1.0, CURVE_POINTS)
+    s = np.array([share * curve.length_mm for _, curve in found]).reshape(-1, CURVE_POINTS)
     xyz = np.array([curve.at(row) for (_, curve), row in zip(found, s, strict=True)]).reshape(-1, CURVE_POINTS, 3)
-    return Curves(tuple(frame for frame, _ in found), s, xyz, np.full_like(s, np.nan))
+    sd = np.array([_deviation_mm(curve, share) for _, curve in found]).reshape(-1, CURVE_POINTS)
+    return Curves(tuple(frame for frame, _ in found), s, xyz, sd)
+
+
+def _deviation_mm(curve: Curve3D, share: Array) -> Array:
+    """Root of the trace of the position's covariance at shares of the length (N,); NaN where the curve carries none."""
+    if not isinstance(curve, NodeCurve) or not curve.from_picture:
+        return np.full_like(share, np.nan)
+    points = curve.at(share * curve.length_mm)
+    off = [other.at(share * other.length_mm) - points for other in (*curve.from_picture, *curve.from_rig)]
+    return np.asarray(np.sqrt((np.array(off) ** 2).sum((0, 2))))
 
 
 def write_results(out: Path, rows: Sequence[ShapeRow], curves: Curves, about: Mapping[str, Any]) -> list[Path]:

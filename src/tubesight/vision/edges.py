@@ -14,11 +14,18 @@ from tubesight.vision.signal import Signal
 SPACING_PX = 0.5
 # Parallel lines averaged into one profile, this far apart along the tube.
 LINES_PX = (-1.5, -0.5, 0.5, 1.5)
-# Plateaus of the half level: this far inside and outside of the edge for a sharp picture (limb shading makes the inside
-# rise within pixels, gamma and sharpening disturb the outside), and this many sigmas for a blurred one.
+# Plateaus of the half level lie this far inside and outside of the edge of a sharp picture (limb shading makes the inside rise
+# within pixels, gamma and sharpening disturb the outside), and clear of the edge itself where it is blurred: an edge of a
+# sharp picture has a sigma of 0.7 to 1 px.
 _INSIDE_PX, _OUTSIDE_PX = 1.0, 2.5
-_INSIDE_SIGMAS, _OUTSIDE_SIGMAS = 1.0, 3.0
-_PASSES = 2
+_SHARP_PX, _INSIDE_SIGMAS, _OUTSIDE_SIGMAS = 0.55, 2.2, 2.5
+_SIGMA_FIRST_PX = 0.8
+_SIGMA_RANGE_PX = (0.4, 4.0)
+_PASSES = 3
+# The width of an edge is measured between plateaus this far from it, but no deeper than a part of the tube.
+_FAR_PX, _FAR_SHARE = 5.0, 0.5
+# Shading inside may rise by this share of the edge's fall per pixel and is then extrapolated to the edge; more is a highlight.
+_RISE_MAX = 0.12
 # Cameras and JPEG record colour at half resolution, so edges are measured by brightness first; where tube and background
 # are equally bright colour has to help. Both are tried and the smoother edge is taken.
 _CHROMA = (1 / 3, 1.0)
@@ -33,14 +40,11 @@ class Edges:
     ----------
     position_px
         (N,) distance along each profile; NaN where no edge was found.
-    sigma_px
-        (N,) width of the edge as the sigma of a Gaussian.
     drop
         (N,) fall of the tube's share over the edge.
     """
 
     position_px: Array
-    sigma_px: Array
     drop: Array
 
 
@@ -70,10 +74,30 @@ def profiles(signal: Signal, origin_px: Array, direction: Array, along: Array) -
     return np.asarray(np.mean([signal(p) for p in shifted], axis=0))
 
 
-def measure_edges(
-    signal: Signal, origin_px: Array, direction: Array, along: Array, guess_px: Array, lines_px: tuple[float, ...] = LINES_PX
-) -> Edges:
-    """Measure falling edges on neighbouring profiles with the colours just inside and outside of each.
+@dataclass(frozen=True, slots=True, eq=False)
+class Profiles:
+    """Colours along neighbouring lines across a contour.
+
+    Attributes
+    ----------
+    colour, behind
+        (N, L, C) in linear light, of the picture and of the background picture or None.
+    along
+        (L,) distances from the lines' origins.
+    depth_px
+        How much tube there is inside of the edges.
+    """
+
+    colour: Array
+    behind: Array | None
+    along: Array
+    depth_px: float
+
+
+def colour_profiles(
+    signal: Signal, origin_px: Array, direction: Array, along: Array, depth_px: float, lines_px: tuple[float, ...] = LINES_PX
+) -> Profiles:
+    """Sample colours along lines, each the mean of a few parallel ones.
 
     Parameters
     ----------
@@ -81,8 +105,6 @@ def measure_edges(
         (N, 2) each, in order along the contour.
     along
         (L,) distances from the origin.
-    guess_px
-        (N,) first guess of the edges; NaN where there is none.
     lines_px
         Offsets of the parallel lines that are averaged.
     """
@@ -91,18 +113,57 @@ def measure_edges(
     samples = [signal.colours(points + offset * side[:, None, :]) for offset in lines_px]
     colour = np.mean([c for c, _ in samples], axis=0)
     behind = None if signal.background is None else np.mean([b for _, b in samples], axis=0)
-    measured = [_measure(colour, behind, along, guess_px, chroma) for chroma in (_CHROMA if colour.shape[-1] == 3 else (1.0,))]
-    return min(measured, key=_scatter)
+    return Profiles(colour, behind, along, depth_px)
 
 
-def _measure(colour: Array, behind: Array | None, along: Array, guess_px: Array, chroma: float) -> Edges:
-    sigma = 0.6
-    edges = Edges(guess_px, guess_px, guess_px)
+def measure_edges(lines: Profiles, guess_px: Array, blur_px: float) -> Edges:
+    """Measure falling edges with the colours just inside and outside of each.
+
+    Parameters
+    ----------
+    guess_px
+        (N,) first guess of the edges; NaN where there is none.
+    blur_px
+        Width of the picture's edges (`blur_of`).
+    """
+    weights = _CHROMA if lines.colour.shape[-1] == 3 else (1.0,)
+    return min((_measure(lines, guess_px, blur_px, chroma) for chroma in weights), key=_scatter)
+
+
+def _measure(lines: Profiles, guess_px: Array, blur_px: float, chroma: float) -> Edges:
+    position = guess_px
+    drop = np.full(len(guess_px), np.nan)
     for _ in range(_PASSES):
-        edges = refine(local_share(colour, behind, along, edges.position_px, sigma, chroma), along, edges.position_px)
-        if np.isfinite(edges.sigma_px).any():
-            sigma = float(np.nanmedian(edges.sigma_px))
-    return edges
+        share = local_share(lines, position, blur_px, chroma)
+        rise = _rise(share, lines.along, position, blur_px)
+        position, drop = _half_level(share, lines.along, position, blur_px, rise)
+    return Edges(position, drop)
+
+
+def blur_of(lines: Profiles, guess_px: Array) -> float:
+    """Width of the edges as the sigma of a Gaussian: ``fall / (sqrt(2 pi) steepest slope)``, median over the profiles.
+
+    Shading inside adds to the fall: of two sides the one with the smaller value tells the picture's blur.
+    """
+    share = local_share(lines, guess_px, _SIGMA_FIRST_PX, 1.0)
+    start, step = float(lines.along[0]), float(lines.along[1] - lines.along[0])
+    far = min(_FAR_PX, _FAR_SHARE * lines.depth_px)
+    fall = _mean_between(share, start, step, guess_px - far - 1.0, guess_px - far)
+    fall = fall - _mean_between(share, start, step, guess_px + far, guess_px + far + 1.0)
+    near = interpolate(share, start, step, guess_px[:, None] + np.arange(-2.5, 2.6, 0.5))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sigma = fall / (np.sqrt(2 * np.pi) * (near[:, :-2] - near[:, 2:]).max(1))
+    sigma = sigma[np.isfinite(sigma) & (sigma > 0)]
+    return float(np.clip(np.median(sigma), *_SIGMA_RANGE_PX)) if len(sigma) else _SIGMA_FIRST_PX
+
+
+def _rise(share: Array, along: Array, position: Array, sigma: float) -> Array:
+    """Slope (N,) per pixel at which the share rises inwards from the edge, running median over the profiles."""
+    start, step = float(along[0]), float(along[1] - along[0])
+    inside, _ = _clear_of_edge(sigma)
+    near = _mean_between(share, start, step, position - inside - 1.0, position - inside)
+    far = _mean_between(share, start, step, position - inside - 3.0, position - inside - 2.0)
+    return np.clip(_running_median(((far - near) / 2.0)[:, None])[:, 0], -_RISE_MAX, _RISE_MAX)
 
 
 def _scatter(edges: Edges) -> float:
@@ -113,25 +174,22 @@ def _scatter(edges: Edges) -> float:
     return float(np.median(np.abs(np.diff(edges.position_px[found], 2))) + (~found).mean())
 
 
-def local_share(
-    colour: Array, behind: Array | None, along: Array, edge_px: Array, sigma_px: float, chroma: float
-) -> Array:
-    """Share of tube from the colours T and B on both sides of an edge: ``(I - B) . (T - B) / |T - B|^2``.
+def local_share(lines: Profiles, edge_px: Array, sigma_px: float, chroma: float) -> Array:
+    """Share of tube (N, L) from the colours T and B on both sides of an edge: ``(I - B) . (T - B) / |T - B|^2``.
 
     T is the colour just inside of the edge and B that of the background picture, or else just outside; both are running
     medians over neighbouring profiles. Shading moves T along the contour, and with it the direction of best contrast.
 
     Parameters
     ----------
-    colour, behind
-        (N, L, C) profiles in linear light, of the picture and of the background picture or None.
     edge_px
         (N,) places of the edges.
     chroma
         Weight of differences of colour against differences of brightness in the scalar product.
     """
-    start, step = float(along[0]), float(along[1] - along[0])
-    inside, outside = max(_INSIDE_PX, _INSIDE_SIGMAS * sigma_px), max(_OUTSIDE_PX, _OUTSIDE_SIGMAS * sigma_px)
+    colour, behind = lines.colour, lines.behind
+    start, step = float(lines.along[0]), float(lines.along[1] - lines.along[0])
+    inside, outside = _clear_of_edge(sigma_px)
 
     def plateau(low: Array, high: Array) -> Array:
         means = [_mean_between(colour[..., c], start, step, low, high) for c in range(colour.shape[-1])]
@@ -169,38 +227,36 @@ def steepest(profile: Array, along: Array, sigma_px: float = 1.0) -> tuple[Array
     return smooth, -np.gradient(smooth, step, axis=-1)
 
 
-def refine(profile: Array, along: Array, guess_px: Array) -> Edges:
-    """Half-level crossing nearest a guess on profiles that fall outwards.
+def refine(profile: Array, along: Array, guess_px: Array) -> Array:
+    """Half-level crossings (N,) nearest a guess, on profiles (N, L) of the signal that fall outwards; NaN where none is."""
+    position = np.array(guess_px, dtype=float)
+    for _ in range(2):
+        position, drop = _half_level(profile, along, position, _SIGMA_FIRST_PX, np.zeros(len(position)))
+    return np.where(drop > 0, position, np.nan)
 
-    Two passes: the level is half way between the plateaus just inside and outside of the current edge, at distances that
-    scale with the measured width of the edge.
 
-    Parameters
-    ----------
-    profile
-        (N, L) share of tube, falling with `along` at the edge.
-    along
-        (L,) evenly spaced.
-    guess_px
-        (N,) first guess of the edge.
+def _half_level(share: Array, along: Array, position: Array, sigma: float, rise: Array) -> tuple[Array, Array]:
+    """Crossing (N,) of the level half way between the plateaus inside and outside, and the fall (N,) over the edge.
+
+    The inside is extrapolated to the edge by its rise g; blurring a step C with such a ramp behind it leaves
+    ``C / 2 + g sigma / sqrt(2 pi)`` at the edge itself.
     """
     start, step = float(along[0]), float(along[1] - along[0])
-    position = np.array(guess_px, dtype=float)
-    sigma = np.full(len(position), 0.6)
-    drop = np.zeros(len(position))
-    for _ in range(_PASSES):
-        inside = np.maximum(_INSIDE_PX, _INSIDE_SIGMAS * sigma)
-        outside = np.maximum(_OUTSIDE_PX, _OUTSIDE_SIGMAS * sigma)
-        high = _mean_between(profile, start, step, position - inside - 1.0, position - inside)
-        low = _mean_between(profile, start, step, position + outside, position + outside + 2.0)
-        drop = high - low
-        reach = np.maximum(2.0, 2.5 * sigma)
-        found, slope = _crossing(profile, start, step, position, reach, (high + low) / 2)
-        position = found
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sigma = np.clip(drop / (np.sqrt(2 * np.pi) * slope), 0.3, 6.0)
-    good = drop > 0
-    return Edges(np.where(good, position, np.nan), np.where(good, sigma, np.nan), np.where(good, drop, np.nan))
+    inside, outside = _clear_of_edge(sigma)
+    high = _mean_between(share, start, step, position - inside - 1.0, position - inside)
+    low = _mean_between(share, start, step, position + outside, position + outside + 2.0)
+    drop = high - rise * (inside + 0.5) - low
+    level = low + drop / 2 + rise * sigma / np.sqrt(2 * np.pi)
+    found = _crossing(share, start, step, position, max(2.0, 2.5 * sigma), level)
+    return np.where(drop > 0, found, np.nan), np.where(drop > 0, drop, np.nan)
+
+
+def _clear_of_edge(sigma_px: float) -> tuple[float, float]:
+    """Distances inside and outside of an edge of a given width at which its plateaus begin."""
+    return (
+        max(_INSIDE_PX, _INSIDE_SIGMAS * (sigma_px - _SHARP_PX)),
+        max(_OUTSIDE_PX, _OUTSIDE_SIGMAS * sigma_px),
+    )
 
 
 def _mean_between(profile: Array, start: float, step: float, low: Array, high: Array) -> Array:
@@ -220,23 +276,17 @@ def interpolate(profile: Array, start: float, step: float, places: Array) -> Arr
     return np.where(inside, profile[rows, left] * (1 - t) + profile[rows, left + 1] * t, np.nan)
 
 
-def _crossing(
-    profile: Array, start: float, step: float, position: Array, reach: Array, level: Array
-) -> tuple[Array, Array]:
-    """Falling crossing of a level nearest to `position` within `reach`, and the steepest fall there."""
-    count = 33
-    places = position[:, None] + np.linspace(-1, 1, count) * reach[:, None]
+def _crossing(profile: Array, start: float, step: float, position: Array, reach: float, level: Array) -> Array:
+    """Falling crossing (N,) of a level nearest to `position` within `reach`; NaN where there is none."""
+    places = position[:, None] + np.linspace(-1, 1, 33) * reach
     values = interpolate(profile, start, step, places)
-    gap = places[:, 1:2] - places[:, :1]
     above, below = values[:, :-1] - level[:, None], values[:, 1:] - level[:, None]
     falls = (above >= 0) & (below < 0)
     middle = (places[:, :-1] + places[:, 1:]) / 2
     distance = np.where(falls, np.abs(middle - position[:, None]), np.inf)
     best = distance.argmin(1)
     rows = np.arange(len(profile))
-    found = np.isfinite(distance[rows, best])
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = above[rows, best] / (above[rows, best] - below[rows, best])
-    crossing = places[rows, best] + share * gap[:, 0]
-    slope = np.nanmax(np.where(np.isfinite(values[:, :-1]), values[:, :-1] - values[:, 1:], 0.0), axis=1) / gap[:, 0]
-    return np.where(found, crossing, np.nan), slope
+        part = above[rows, best] / (above[rows, best] - below[rows, best])
+    crossing = places[rows, best] + part * (places[:, 1] - places[:, 0])
+    return np.where(np.isfinite(distance[rows, best]), crossing, np.nan)

@@ -72,12 +72,13 @@ def see(name: str, image: Image, background: Image | None, camera: Camera, tube:
     if start is not None:
         signal, track = _from_base(image, background, start)
         base = start.px
-        tip = _tip_of(signal, camera, tube, track)
+        edges, blur = measure(signal, track)
+        tip = _tip_of(signal, camera, tube, track, blur)
     else:
         signal, track, tip = _from_middle(image, background, camera, tube, base_px)
         base = _first_of(signal, camera, track)
-    edges, sigma, _ = measure(signal, track)
-    edges, sigma = _before_tip(edges, sigma, tip, track, tube)
+        edges, blur = measure(signal, track)
+    edges = _before_tip(edges, tip, track, tube)
     if len(edges) < _SCANS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail=f"{len(edges)} scans")
     rays = camera.unproject(edges)
@@ -86,7 +87,7 @@ def see(name: str, image: Image, background: Image | None, camera: Camera, tube:
     middle = bisector / bisector[:, 2:]
     notes = tuple(f"bridged a gap of {g:.1f} widths" for g in track.gaps)
     return View(
-        name, edges, unit, middle, camera.project(middle), camera.unproject(base), tip, _roughness(edges), float(np.median(sigma)), signal.why, notes
+        name, edges, unit, middle, camera.project(middle), camera.unproject(base), tip, _roughness(edges), blur, signal.why, notes
     )
 
 
@@ -121,11 +122,12 @@ def _from_middle(
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="the edges of what stands out are soon lost")
     backward = Track(forward.middle_px[::-1], forward.width_px[::-1], forward.gaps)
     hint = np.array([np.nan, -1e9]) if base_px is None else base_px
+    _, blur = measure(signal, forward)
     tracks = sorted((forward, backward), key=lambda t: _distance(t.middle_px[0], hint))
     failure = Unmeasurable(Status.TIP_NOT_FOUND)
     for track in tracks:
         try:
-            return signal, track, _tip_of(signal, camera, tube, track)
+            return signal, track, _tip_of(signal, camera, tube, track, blur)
         except Unmeasurable as caught:
             failure = caught
     raise failure
@@ -165,17 +167,17 @@ def _first_pair(signal: Signal, start: Start) -> tuple[Array, Array, float]:
     raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="no pair of edges beside the base")
 
 
-def _tip_of(signal: Signal, camera: Camera, tube: Tube, track: Track) -> TipView:
+def _tip_of(signal: Signal, camera: Camera, tube: Tube, track: Track, blur_px: float) -> TipView:
     """Find the tip from the last part of the track, extrapolated by its way and bend."""
     start, way, bend = _last_way(track)
     width = float(np.median(track.width_px[-5:]))
     ratio = 1.0
     if tube.tip.shape == "ball" and tube.tip.diameter_mm is not None and tube.diameter_mm is not None:
         ratio = tube.tip.diameter_mm / tube.diameter_mm
-    return find_tip(signal, camera, tube.tip, start, way, bend, width, ratio)
+    return find_tip(signal, camera, tube.tip, start, way, bend, width, ratio, blur_px)
 
 
-def _before_tip(edges: Array, sigma: Array, tip: TipView, track: Track, tube: Tube) -> tuple[Array, Array]:
+def _before_tip(edges: Array, tip: TipView, track: Track, tube: Tube) -> Array:
     """Leave out scans on the ball or past the end: only the tube itself has parallel edges."""
     way = track.middle_px[-1] - track.middle_px[max(len(track.middle_px) - 4, 0)]
     way = way / np.linalg.norm(way)
@@ -188,7 +190,7 @@ def _before_tip(edges: Array, sigma: Array, tip: TipView, track: Track, tube: Tu
     middle = edges.mean(1)
     near = np.linalg.norm(middle - tip.px, axis=1) < 1.5 * width + room
     keep = ~near | ((tip.px - middle) @ way > room)
-    return edges[keep], sigma[keep]
+    return edges[keep]
 
 
 def _roughness(edges: Array) -> Array:

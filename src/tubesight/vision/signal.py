@@ -1,9 +1,10 @@
-"""How much of a pixel is tube: 0 on the background, 1 on the tube, linear in the covered share.
+"""How much a pixel looks like tube rather than background, from 0 to 1, in linear light.
 
-All segmenters are one formula: with the colours T of the tube and B of the background in linear light, a pixel I that is tube
-to the share a is ``I = a T + (1 - a) B``, so ``a = w . (I - B) / w . (T - B)`` for any direction w. Fisher's discriminant
-``w = M^-1 (T - B)`` takes the direction in which shading and shadows, which scale colours, matter least. Segmenters differ in
-where B comes from: a picture of the empty scene, or the surroundings of the tube.
+All segmenters are one formula: with the colours T of the tube and B of the background, a pixel I belongs to the nearer of the
+two, distances measured in the deviations that noise and shading (which scales a colour) give each of them:
+``share = d_B^2 / (d_T^2 + d_B^2 + 1)``, ``d_X^2 = (I - X)^T (noise^2 I + shading^2 X X^T)^-1 (I - X)``. Segmenters differ in
+where B comes from: a picture of the empty scene, or the surroundings of the tube. A third colour belongs to neither and
+counts as background as soon as it is farther from T.
 
 This signal finds the tube; edges are measured with the colours just inside and outside of each (`edges.local_share`).
 """
@@ -19,9 +20,10 @@ from tubesight.core import Array, Image, readonly
 # sRGB to linear light (IEC 61966-2-1) for the 256 levels of a picture.
 _LEVELS = np.arange(256) / 255.0
 LINEAR_LIGHT = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4).astype(np.float32)
-# Shadows and shading scale a colour by about this share; noise of a picture in linear light.
-_SHADING = 0.3
-_NOISE = 0.01
+# Noise and texture of a picture in linear light; shares by which shading scales the colour of a tube (round, so lit from dark to
+# bright) and shadows that of a background.
+_NOISE = 0.02
+_SHADING_TUBE, _SHADING_CLOTH = 0.35, 0.25
 
 
 def sample(image: Image, points_px: Array) -> Array:
@@ -57,7 +59,7 @@ def sample(image: Image, points_px: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signal:
-    """Share of tube at points of one picture.
+    """Likeness to tube at points of one picture.
 
     Attributes
     ----------
@@ -89,27 +91,15 @@ class Signal:
         return sample(self.image, points_px), None if self.background is None else sample(self.background, points_px) * self.gain
 
     def __call__(self, points_px: Array) -> Array:
-        """Share of tube (...) at points (..., 2); NaN outside the picture."""
+        """Likeness to tube (...) at points (..., 2); NaN outside the picture."""
         colour, behind = self.colours(points_px)
         behind = self.cloth if behind is None else behind
-        contrast = self.tube - behind
-        weight = _discriminant(contrast, np.broadcast_to(self.tube, contrast.shape), behind)
-        # Where the background has the tube's own colour the share is not observable: it tends to 0, not to noise.
-        floor = _discriminant_floor(weight, contrast)
-        return np.asarray(((colour - behind) * weight).sum(-1) / floor)
+        from_tube = _distance(colour - self.tube, self.tube, _SHADING_TUBE)
+        from_cloth = _distance(colour - behind, behind, _SHADING_CLOTH)
+        return from_cloth / (from_tube + from_cloth + 1.0)
 
 
-def _discriminant(contrast: Array, tube: Array, behind: Array) -> Array:
-    """Fisher's direction ``M^-1 (T - B)``, ``M = noise^2 I + (shading T)(shading T)^T + (shading B)(shading B)^T``."""
-    if contrast.shape[-1] == 1:
-        return contrast
-    spread = np.stack([tube, np.broadcast_to(behind, tube.shape)], -1) * (_SHADING / _NOISE)
-    # Woodbury: (I + S S^T)^-1 c = c - S (I + S^T S)^-1 S^T c, a 2 x 2 system per point.
-    gram = np.einsum("...ci,...cj->...ij", spread, spread) + np.eye(2)
-    right = np.einsum("...ci,...c->...i", spread, contrast)
-    return np.asarray(contrast - np.einsum("...ci,...i->...c", spread, np.linalg.solve(gram, right[..., None])[..., 0]))
-
-
-def _discriminant_floor(weight: Array, contrast: Array) -> Array:
-    power = (weight * contrast).sum(-1)
-    return np.asarray(power + _NOISE**2)
+def _distance(off: Array, colour: Array, shading: float) -> Array:
+    """Squared Mahalanobis distance (...) of deviations (..., C) from a colour (Sherman-Morrison)."""
+    along = (off * colour).sum(-1) ** 2 * shading**2
+    return np.asarray(((off * off).sum(-1) - along / (_NOISE**2 + shading**2 * (colour * colour).sum(-1))) / _NOISE**2)

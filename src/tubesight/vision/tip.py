@@ -6,7 +6,7 @@ import numpy as np
 
 from tubesight.core import Array, Status, Tip, Unmeasurable
 from tubesight.geometry.camera import Camera
-from tubesight.vision.edges import SPACING_PX, left_of, measure_edges, profiles, steepest
+from tubesight.vision.edges import SPACING_PX, Edges, colour_profiles, left_of, measure_edges, profiles, steepest
 from tubesight.vision.signal import Signal
 from tubesight.vision.view import TipView
 
@@ -64,13 +64,15 @@ def end_of_tube(signal: Signal, camera: Camera, start_px: Array, way: Array, ben
     raise Unmeasurable(Status.TIP_NOT_FOUND, detail="the tube does not end")
 
 
-def find_tip(signal: Signal, camera: Camera, tip: Tip, start_px: Array, way: Array, bend: float, width_px: float, ball_ratio: float) -> TipView:
+def find_tip(signal: Signal, camera: Camera, tip: Tip, start_px: Array, way: Array, bend: float, width_px: float, ball_ratio: float, blur_px: float) -> TipView:
     """Find the tip beyond a place near the end of the tube.
 
     Parameters
     ----------
     ball_ratio
         Diameter of the ball over that of the tube (1 for a rounded end).
+    blur_px
+        Width of the picture's edges.
 
     Raises
     ------
@@ -83,14 +85,18 @@ def find_tip(signal: Signal, camera: Camera, tip: Tip, start_px: Array, way: Arr
     heading /= np.linalg.norm(heading)
     end_px = start_px + end * way + bend * end**2 / 2 * left_of(way)
     if tip.shape == "flat":
-        return _flat(signal, camera, end_px, heading, width_px)
+        return _flat(signal, camera, end_px, heading, width_px, blur_px)
     if tip.shape == "round":
-        return _round(signal, camera, end_px, heading, width_px / 2)
+        try:
+            return _round(signal, camera, end_px, heading, width_px / 2, blur_px)
+        except Unmeasurable:
+            # Near the end of a tube that turns towards the camera its way is not known; its round contour still is.
+            return _ball(signal, camera, end_px - radius * heading, heading, radius, _ROUND_HALF_RAD, blur_px)
     half = np.pi - np.arcsin(min(1 / ball_ratio, 1.0)) - np.radians(12.0)
-    return _ball(signal, camera, end_px - radius * heading, heading, radius, half)
+    return _ball(signal, camera, end_px - radius * heading, heading, radius, half, blur_px)
 
 
-def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius: float, half: float) -> TipView:
+def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius: float, half: float, blur_px: float) -> TipView:
     """Fit the cone of tangent rays to a ball's contour, starting from a rough centre."""
     angles = np.linspace(-half, half, max(int(_RADIALS * half / np.pi), 12))
     left = left_of(heading)
@@ -101,11 +107,13 @@ def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius:
         low, high = (0.5, 1.5) if sweep == 0 else (0.7, 1.3)
         along = np.arange(low * radius - 4.0, high * radius + 10.0, SPACING_PX)
         profile = profiles(signal, np.broadcast_to(centre, directions.shape), directions, along)
-        edges = measure_edges(signal, np.broadcast_to(centre, directions.shape), directions, along, _outermost(profile, along, radius))
-        good = np.isfinite(edges.position_px)
+        lines = colour_profiles(signal, np.broadcast_to(centre, directions.shape), directions, along, radius)
+        edges = measure_edges(lines, _outermost(profile, along, radius), blur_px)
+        position = _unshrunk(edges, radius, blur_px)
+        good = np.isfinite(position)
         if good.sum() < max(8, _SEEN_MIN * len(angles)):
             raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its contour does not stand out")
-        points = centre + directions * edges.position_px[:, None]
+        points = centre + directions * position[:, None]
         new_centre, new_radius, kept = _circle(points[good])
         contour = points[good][kept]
         if not abs(new_radius / radius - 1) < (2 * _RADIUS_OFF if sweep == 0 else _RADIUS_OFF):
@@ -116,7 +124,7 @@ def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius:
     return _cone_of_tangents(camera, contour)
 
 
-def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius: float) -> TipView:
+def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius: float, blur_px: float) -> TipView:
     """Centre of a rounded end: on the way of the tube, one radius behind its contour.
 
     The width and the way are those of the tube's edges; only the place along the way is taken from the end's contour, from
@@ -131,13 +139,15 @@ def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius
         centre = end_px + place * heading
         origins = np.broadcast_to(centre, directions.shape)
         profile = profiles(signal, origins, directions, along)
-        edges = measure_edges(signal, origins, directions, along, _outermost(profile, along, radius))
-        off = edges.position_px - radius
+        lines = colour_profiles(signal, origins, directions, along, radius)
+        edges = measure_edges(lines, _outermost(profile, along, radius), blur_px)
+        position = _unshrunk(edges, radius, blur_px)
+        off = position - radius
         pairs = np.isfinite(off) & np.isfinite(off[::-1]) & (np.abs(off) < 0.5 * radius + 1)
         pairs &= pairs[::-1]
         if pairs.sum() < _SEEN_MIN * len(angles):
             raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its contour does not stand out")
-        contour = (centre + directions * edges.position_px[:, None])[pairs]
+        contour = (centre + directions * position[:, None])[pairs]
         weight = np.cos(angles[pairs])
         shift = float(weight @ off[pairs] / (weight @ weight))
         off = off[pairs] - shift * weight
@@ -149,6 +159,11 @@ def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius
     ray = camera.unproject(px)
     angle = float(np.arctan(radius / camera.focal_px / np.linalg.norm(ray)))
     return TipView(ray / np.linalg.norm(ray), px, angle, contour, rms)
+
+
+def _unshrunk(edges: Edges, radius: float, blur_px: float) -> Array:
+    """Places of the edges of a disc without its blur: a Gaussian of sigma moves its half level inwards by sigma^2 / (2 radius)."""
+    return np.asarray(edges.position_px + blur_px**2 / (2 * radius))
 
 
 def _outermost(profile: Array, along: Array, radius: float) -> Array:
@@ -202,14 +217,15 @@ def _cone_of_tangents(camera: Camera, contour: Array) -> TipView:
     return TipView(axis, camera.project(axis), float(np.arccos(1 / np.linalg.norm(a))), contour[keep], rms)
 
 
-def _flat(signal: Signal, camera: Camera, end_px: Array, heading: Array, width_px: float) -> TipView:
+def _flat(signal: Signal, camera: Camera, end_px: Array, heading: Array, width_px: float, blur_px: float) -> TipView:
     """Middle of a flat end face: its contour is half an ellipse, ``a(d) = a0 + bulge sqrt(1 - (2 d / width)^2)``."""
     left = left_of(heading)
     offsets = np.linspace(-_FACE_WIDTHS, _FACE_WIDTHS, 31)
     origins = end_px + offsets[:, None] * width_px * left
     along = np.arange(-0.6 * width_px - 6.0, 0.6 * width_px + 10.0, SPACING_PX)
     profile = profiles(signal, origins, np.broadcast_to(heading, origins.shape), along)
-    edges = measure_edges(signal, origins, np.broadcast_to(heading, origins.shape), along, _outermost(profile, along, 0.0), (0.0,))
+    lines = colour_profiles(signal, origins, np.broadcast_to(heading, origins.shape), along, width_px / 2, (0.0,))
+    edges = measure_edges(lines, _outermost(profile, along, 0.0), blur_px)
     good = np.isfinite(edges.position_px)
     if good.sum() < 10:
         raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its end face does not stand out")

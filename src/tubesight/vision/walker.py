@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tubesight.core import Array
-from tubesight.vision.edges import SPACING_PX, Edges, left_of, measure_edges, profiles, refine, steepest
+from tubesight.vision.edges import SPACING_PX, blur_of, colour_profiles, left_of, measure_edges, profiles, refine, steepest
 from tubesight.vision.signal import Signal
 
 # A step longer than 1.6 half-widths loses the tube at its bends; half a width leaves room.
@@ -82,7 +82,7 @@ def find_pair(
     if score[i, j] < 0:
         return None
     edges = refine(np.stack([profile, profile[::-1]]), along, np.array([along[falls[i]], -along[rises[j]]]))
-    high, low = edges.position_px[0], -edges.position_px[1]
+    high, low = edges[0], -edges[1]
     if not (np.isfinite(high) and np.isfinite(low) and high - low > 2.0):
         return None
     return middle_px + left * (high + low) / 2, float(high - low)
@@ -162,14 +162,14 @@ def _predict(middles: list[Array], places: list[float], place: float, start: Arr
     return np.asarray(coefficients[0]), np.asarray(way)
 
 
-def measure(signal: Signal, track: Track) -> tuple[Array, Array, Array]:
+def measure(signal: Signal, track: Track) -> tuple[Array, float]:
     """Measure both edges on scans normal to a followed tube.
 
     Returns
     -------
-    edges_px, sigma_px, drop
-        (N, 2, 2) left and right edges in order, (N, 2) their widths and (N, 2) falls; scans on which an edge stands
-        out of line are left out.
+    edges_px, blur_px
+        (N, 2, 2) left and right edges in order, without scans on which an edge stands out of line, and the width of the
+        picture's edges.
     """
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track.middle_px, axis=0), axis=1))])
     spline = CubicSpline(chord, track.middle_px)
@@ -182,19 +182,17 @@ def measure(signal: Signal, track: Track) -> tuple[Array, Array, Array]:
     half = np.interp(s, chord, track.width_px) / 2
     reach = float(half.max()) + 2 * _MARGIN_PX
     along = np.arange(0.0, reach, SPACING_PX)
-    found = [_side(signal, middle, side, along, half) for side in (left, -left)]
+    lines = [colour_profiles(signal, middle, side, along, float(half.min())) for side in (left, -left)]
+    guesses = [refine(profiles(signal, middle, side, along), along, half) for side in (left, -left)]
+    guesses = [np.where(np.isfinite(guess), guess, half) for guess in guesses]
+    blur = min(blur_of(side, guess) for side, guess in zip(lines, guesses, strict=True))
+    found = [measure_edges(side, guess, blur) for side, guess in zip(lines, guesses, strict=True)]
     offset = np.stack([e.position_px for e in found], 1)
     edges = np.stack([middle + left * offset[:, :1], middle - left * offset[:, 1:]], 1)
     drop = np.stack([e.drop for e in found], 1)
     good = np.isfinite(offset).all(1) & (np.nan_to_num(drop) > _DROP_MIN).all(1)
     good[good] = _in_line(s[good], offset[good])
-    return edges[good], np.stack([e.sigma_px for e in found], 1)[good], drop[good]
-
-
-def _side(signal: Signal, middle: Array, side: Array, along: Array, half: Array) -> Edges:
-    """Edges on one side: found with the signal of the walk, measured with the colours at hand."""
-    found = refine(profiles(signal, middle, side, along), along, half)
-    return measure_edges(signal, middle, side, along, np.where(np.isfinite(found.position_px), found.position_px, half))
+    return edges[good], blur
 
 
 def _in_line(s: Array, offset: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
