@@ -268,7 +268,9 @@ def judge(quality: Quality, registered: bool) -> Verdict:
         level = "usable"
     sentence = f"{level}: corners fit within {quality.rms_px:.2g} px RMS"
     if np.isfinite(quality.point_sd_mm):
-        sentence += f"; points where the boards were come out within about {quality.point_sd_mm:.2g} mm"
+        sentence += (
+            f"; the rig itself adds about {max(quality.point_sd_mm, 1e-3):.1g} mm to points where the boards were"
+        )
     if level == "poor":
         step = "calibrate again: board flat and still, focus locked, all cameras' pictures taken at one instant"
     else:

@@ -83,9 +83,7 @@ def from_mapping(mapping: Mapping[str, Any] | None, rig: Rig) -> Past | None:
         observations = tuple(_observation(entry, board) for entry in mapping["observations"])
         names = [str(n) for n in mapping["parameters"]]
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise CalibrationError(
-            f"calibration: the observations cannot be read ({error!r:.80}); calibrate again"
-        ) from error
+        raise CalibrationError(f"calibration: cannot read the observations ({error!r:.80}); calibrate again") from error
     lens: dict[str, tuple[str, ...]] = {}
     for camera in rig.names:
         own = [n.removeprefix(f"{camera}.") for n in names if n.rpartition(".")[0] == camera]

@@ -9,7 +9,7 @@ they count as measured, with the deviation they show, so that they place the bas
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -132,7 +132,13 @@ def register_views(
             f"the stated board poses are off by up to {deviation[worst]:.2f} mm ({worst}); "
             "they were taken as measured, not as exact"
         )
-    return _with(result, labels, deviation, left_out, warnings)
+    return replace(
+        result,
+        labels=tuple(labels),
+        deviation_mm=deviation,
+        left_out=tuple(left_out),
+        warnings=tuple(warnings),
+    )
 
 
 def register_points(
@@ -161,16 +167,15 @@ def register_points(
     for camera, p in px.items():
         outside = seen[camera] & ~rig.cameras[camera].contains(np.nan_to_num(p), margin_px=-0.5)
         if outside.any():
-            raise CalibrationError(
-                f"point {names[int(np.argmax(outside))]!r} lies outside the picture of {camera}; mend it"
-            )
+            name = names[int(np.argmax(outside))]
+            raise CalibrationError(f"point {name!r} lies outside the picture of {camera}; mend its pixels")
     for group in _groups(rig):
         _require_points(group, {c: seen[c] for c in group if c in seen}, xyz_mm)
     observations = [Observation(c, BASE_VIEW, xyz_mm[s], px[c][s]) for c, s in seen.items() if s.any()]
     labels = [(o.camera, "points") for o in observations]
     placed = _place(rig, [[o] for o in observations])
     result = _solve(rig, past, placed, observations, 1.0)
-    return _with(result, labels, {}, [], _odd_points(result, names, seen))
+    return replace(result, labels=tuple(labels), warnings=tuple(_odd_points(result, names, seen)))
 
 
 def _list(names: Sequence[str]) -> str:
@@ -282,26 +287,6 @@ def _result(rig: Rig, observations: Sequence[Observation], adjusted: Adjusted | 
     scene = Scene(rig.cameras, rig.camera_from_base, {BASE_VIEW: Pose.identity()})
     residuals = tuple(o.px - scene.project(o) for o in observations)
     return Registration(rig, tuple(observations), residuals, (), adjusted, {}, exact, (), ())
-
-
-def _with(
-    result: Registration,
-    labels: Sequence[tuple[str, str]],
-    deviation_mm: Mapping[str, float],
-    left_out: Sequence[LeftOut],
-    warnings: Sequence[str],
-) -> Registration:
-    return Registration(
-        result.rig,
-        result.observations,
-        result.residuals_px,
-        tuple(labels),
-        result.adjusted,
-        deviation_mm,
-        result.exact,
-        tuple(left_out),
-        tuple(warnings),
-    )
 
 
 def _deviation_mm(rig: Rig, observations: Sequence[Observation]) -> float:

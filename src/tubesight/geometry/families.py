@@ -208,6 +208,12 @@ def spatial_nodes(parameters: Array) -> Nodes:
     return Nodes(points, stack[..., 2], curvature, _ENDS * length)
 
 
+def bends_of_pieces(coefficients: Array, count: int) -> Array:
+    """Bend vectors (count, 2) of equal pieces of a curve of `spatial_nodes` with coefficients (K, 2)."""
+    turned = np.stack([p.integ(lbnd=0)(np.linspace(0.0, 1.0, count + 1)) for p in _POLYNOMIALS[: len(coefficients)]])
+    return np.asarray(np.diff(turned, axis=1).T @ coefficients)
+
+
 FAMILIES: dict[str, Family] = {
     "circle": Family("circle", 3, circle_nodes),
     "ellipse": Family("ellipse", 5, ellipse_nodes, soft=((3, 1.0),)),

@@ -64,8 +64,8 @@ def shape_of(curve: Curve3D, orientation_from_mm: float) -> Shape:
     curve
         Centreline in the base frame.
     orientation_from_mm
-        Distance of the tip from the z axis below which its azimuth is undefined, where the curve carries no deviations;
-        else it is three standard deviations of that distance.
+        Distance of the tip from the z axis below which its azimuth is undefined whatever the curve's deviations are; it is
+        at least three standard deviations of that distance.
     """
     values = _measure(curve)
     picture, rig = _unknown(), _unknown()
@@ -73,7 +73,7 @@ def shape_of(curve: Curve3D, orientation_from_mm: float) -> Shape:
         picture = _deviations(values, curve.from_picture)
         rig = _deviations(values, curve.from_rig) if curve.from_rig else rig
         moved = [np.hypot(*(_measure(c)[:2] - values[:2])) for c in (*curve.from_picture, *curve.from_rig)]
-        orientation_from_mm = 3 * float(np.linalg.norm(moved))
+        orientation_from_mm = max(orientation_from_mm, 3 * float(np.linalg.norm(moved)))
     known_rig = {k: v if np.isfinite(v) else 0.0 for k, v in rig.items()}
     both = {k: float(np.hypot(picture[k], known_rig[k])) for k in SD_NAMES}
     side_mm = np.hypot(values[0], values[1])

@@ -14,7 +14,7 @@ import numpy as np
 from tubesight.core import Array, Status, Tube, Unmeasurable
 from tubesight.geometry.arcs import clamped_arc
 from tubesight.geometry.curve import Curve3D, NodeCurve
-from tubesight.geometry.families import FAMILIES
+from tubesight.geometry.families import FAMILIES, bends_of_pieces
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.methods.agreement import flat_tip, triangulate_tip
@@ -30,6 +30,8 @@ _RMS_FLOOR_PX = 0.06
 # A plane quadratic curve with a smaller rms than this is not challenged by shapes of several bends: on photographs the right
 # family leaves 0.03 to 0.2 px, a wrong one over 0.5 px.
 _GOOD_PX = 0.25
+# A tube whose centreline bends more sharply than this share of its radius' inverse kinks.
+_SHARPEST = 0.7
 # No family with a larger rms is an answer.
 _RMS_MAX_PX = 0.6
 
@@ -106,15 +108,22 @@ def choose_family(problem: Problem, tip: Array) -> Fit:
     arc = clamped_arc(problem.start.inverse().apply(tip))
     circle = fit_family(problem, FAMILIES["circle"], np.append(arc.curvature_per_mm * arc.length_mm, arc.length_mm))
     fits = [circle]
-    for names in (("ellipse",), ("polynomial2", "arcs2"), ("polynomial3", "spatial2", "arcs3", "spatial4")):
+    for names in (("ellipse",), ("polynomial2", "spatial2", "arcs2"), ("polynomial3", "spatial4", "arcs3")):
         for name in names:
             guesses = _guesses(name, fits)
             fits.append(min((fit_family(problem, FAMILIES[name], g) for g in guesses), key=lambda f: f.rms_px))
-        best = min(fit.rms_px for fit in fits)
+        plausible = [fit for fit in fits if _is_tube(fit, problem.radius_mm)] or fits
+        best = min(fit.rms_px for fit in plausible)
         if best <= _GOOD_PX:
             break
     limit = max(_SIMPLEST_WITHIN * best, _RMS_FLOOR_PX)
-    return next(fit for fit in fits if fit.rms_px <= limit)
+    return next(fit for fit in sorted(plausible, key=lambda f: f.family.count) if fit.rms_px <= limit)
+
+
+def _is_tube(fit: Fit, radius_mm: float) -> bool:
+    """Whether a tube of this radius can be bent like that without running into itself."""
+    sharpest = float(np.linalg.norm(fit.nodes.curvature[0], axis=1).max())
+    return sharpest * radius_mm < _SHARPEST
 
 
 def _guesses(name: str, fits: list[Fit]) -> list[Array]:
@@ -128,14 +137,12 @@ def _guesses(name: str, fits: list[Fit]) -> list[Array]:
         return [np.array([azimuth, theta, 0.0, 0.0, length])]
     if name == "polynomial3":
         return [np.insert(done["polynomial2"][:5], 4, 0.0)]
-    if name == "arcs2":
-        return [np.array([bx / 2, by / 2, bx / 2, by / 2, 0.0, length])]
-    if name == "arcs3":
-        x1, y1, x2, y2, split, total = done["arcs2"][:6]
-        return [
-            np.array([x1 / 2, y1 / 2, x1 / 2, y1 / 2, x2, y2, split - np.log(2.0), split - np.log(2.0), total]),
-            np.array([x1, y1, x2 / 2, y2 / 2, x2 / 2, y2 / 2, split + np.log(2.0), 0.0, total]),
-        ]
+    if name in ("arcs2", "arcs3"):
+        count = int(name[-1])
+        richer = done["spatial2" if count == 2 else "spatial4"]
+        guess = FAMILIES["spatial2" if count == 2 else "spatial4"].count - 1
+        bends = bends_of_pieces(richer[:guess].reshape(-1, 2), count)
+        return [np.concatenate([bends.ravel(), np.zeros(count - 1), [length]])]
     if name == "spatial2":
         return [np.array([bx, by, 0.0, 0.0, 0.0, 0.0, length])]
     return [np.concatenate([done["spatial2"][:6], np.zeros(4), done["spatial2"][6:7]])]

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from tubesight.core import Array
+from tubesight.core import Array, Status, Unmeasurable
 from tubesight.geometry.curve import NodeCurve
 from tubesight.methods.fit import Fit, Problem, Rays, curve_of, prior, variances
 
 # Residuals along one edge hang together over about this length of tube.
 _BLOCK_MM = 25.0
-# Shading moves all edges of one side of one view by about this much.
-_SHADING_PX = 0.05
+# Shading moves all edges of one side of one view by about this much, and by this share of the roughness that it and the noise
+# give them.
+_SHADING_PX, _SHADING_SHARE = 0.03, 0.7
 # Displaced curves are taken at this share of a deviation and scaled up: the map from parameters to numbers is linear there.
 _SHARE = 0.05
 
@@ -47,7 +48,8 @@ def picture_covariance(problem: Problem, fit: Fit) -> Array:
     freedom = len(labels) / max(len(labels) - fit.family.count, 1)
     middle = np.where(np.trace(inverse @ middle) > np.trace(inverse @ independent), middle * freedom, independent)
     for row in np.unique(rays.side):
-        shift = (fit.jacobian[:n] * weight[:n, None])[rays.side == row].sum(0) * _SHADING_PX
+        shift = (fit.jacobian[:n] * weight[:n, None])[rays.side == row].sum(0)
+        shift = shift * (_SHADING_PX + _SHADING_SHARE * float(rays.sd_px[rays.side == row][0]))
         middle += np.outer(shift, shift)
     middle += np.diag(prior(problem, fit.family, len(fit.parameters)))
     return np.asarray(inverse @ middle @ inverse)
@@ -74,20 +76,27 @@ def rig_covariance(problem: Problem, fit: Fit, moved: list[Rays], steps: Array, 
 
 
 def displaced(problem: Problem, fit: Fit, covariance: Array) -> tuple[NodeCurve, ...]:
-    """Curves one deviation away along each independent direction of a covariance of the parameters."""
+    """Curves one deviation away along each independent direction of a covariance of the parameters.
+
+    Raises
+    ------
+    Unmeasurable
+        If a deviation is so large that the curve is not determined.
+    """
     geometric = len(fit.parameters) - problem.views - 1
     values, vectors = np.linalg.eigh(covariance[:geometric, :geometric])
     factor = vectors * np.sqrt(np.clip(values, 0.0, None))
     moved = np.repeat(fit.parameters[None], geometric, axis=0)
     moved[:, :geometric] += _SHARE * factor.T
     nodes = curve_of(problem, fit.family, moved)
-    still = fit.nodes
-    return tuple(
-        NodeCurve(
-            fit.family.name,
-            still.s_mm[0] + (nodes.s_mm[k] - still.s_mm[0]) / _SHARE,
-            still.points[0] + (nodes.points[k] - still.points[0]) / _SHARE,
-            still.tangents[0] + (nodes.tangents[k] - still.tangents[0]) / _SHARE,
+    s, points, tangents = (
+        (still[0] + (there - still[0]) / _SHARE)
+        for still, there in (
+            (fit.nodes.s_mm, nodes.s_mm),
+            (fit.nodes.points, nodes.points),
+            (fit.nodes.tangents, nodes.tangents),
         )
-        for k in range(geometric)
     )
+    if not (np.diff(s, axis=1) > 0).all():
+        raise Unmeasurable(Status.NEAR_DEGENERATE, detail="the pictures leave the length of the curve open")
+    return tuple(NodeCurve(fit.family.name, s[k], points[k], tangents[k]) for k in range(geometric))
