@@ -88,8 +88,11 @@ def test_every_command_status_and_column_is_documented() -> None:
     commands, files, status = ((reference / f"{name}.md").read_text() for name in ("commands", "files", "status"))
     for name in COMMANDS:
         assert f"`tubesight {name}" in commands
-    for option in (o for parameter in COMMANDS["run"].params for o in parameter.opts if o.startswith("--")):
-        assert option == "--help" or f"`{option}`" in commands
+    for name, command in COMMANDS.items():
+        section = commands.partition(f"\n## {name}\n")[2].partition("\n## ")[0]
+        options = {option for parameter in command.params for option in parameter.opts if option.startswith("--")}
+        for option in options - {"--help"}:
+            assert option in section or name == "methods", f"{name} {option}"
     assert f"| one of `tubesight methods` | `{DEFAULT_METHOD}` |" in commands
     for column in COLUMNS:
         assert f"`{column}`" in files

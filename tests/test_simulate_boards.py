@@ -10,7 +10,7 @@ from tubesight.core import Board
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
-from tubesight.simulate import Scene, board_views, render_board_pair, rig_around
+from tubesight.simulate import Scene, board_views, rig_around
 from tubesight.simulate.boards import _printed, board_outline, render_board
 from tubesight.simulate.rays import Window
 from tubesight.simulate.rigs import camera_pose

@@ -65,8 +65,8 @@ def test_parameter_is_arc_length_and_tangent_its_derivative(phantom: Phantom) ->
     np.testing.assert_allclose(np.linalg.norm(tangent, axis=1), 1.0, rtol=0, atol=1e-12)
     np.testing.assert_allclose(phantom.at(s[:1]), 0, atol=1e-12)
     np.testing.assert_allclose(tangent[0], (0, 0, 1), atol=1e-12)
-    # Central differences of step h err by h^2 / 6 times the tangent's second derivative, below 3 / mm^2 for the sharpest
-    # vertex drawn: 5e-7. At a joint of pieces the curvature jumps, and the error is h / 2 times the jump: 1e-3 * 0.15.
+    # Central differences of step h err by h^2 / 6 times the tangent's second derivative, below 3 / mm^2 at the sharpest
+    # vertex drawn: 5e-7. Where pieces meet the curvature jumps, and the error is h / 2 times the jump: 1e-3 * 0.15.
     h = 1e-3
     inner = s[1:-1]
     numeric = (phantom.at(inner + h) - phantom.at(inner - h)) / (2 * h)

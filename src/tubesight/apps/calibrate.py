@@ -27,6 +27,7 @@ from tubesight.files.dataset import camera_folders, list_pairs
 from tubesight.files.images import read_image
 from tubesight.files.rig import save_rig
 from tubesight.files.safe import refuse, write_atomic
+from tubesight.geometry.lens import LENSES
 from tubesight.geometry.rig import Rig
 
 
@@ -115,9 +116,7 @@ def calibrate_folder(
     refuse_folder(out)
     cameras = camera_folders(folder)
     if not cameras:
-        raise InputError(
-            f"{folder}: no subfolder with pictures; put the pictures of each camera into one named after it"
-        )
+        raise InputError(f"{folder}: no subfolder with pictures; put the pictures of each camera into its own")
     pairs = list_pairs(folder, cameras)
     paths = {c: {stem: files[c] for stem, files in pairs} for c in cameras}
     with naming(folder):
@@ -183,22 +182,41 @@ def _outcome(made: Calibration, quality: Quality, out: Path) -> Outcome:
 
 def camera_rows(outcome: Outcome) -> list[list[str]]:
     """Table of the cameras: heading, then a row each."""
-    rows = [["camera", "views", "RMS [px]", "fx, fy [px]", "cx, cy [px]", "k1, k2, p1, p2, k3", "corners cover"]]
+    rows = [["camera", "views", "RMS [px]", "fx, fy [px]", "cx, cy [px]", "cover"]]
     for name, camera in outcome.rig.cameras.items():
         m = camera.matrix
         figures = ["-", "-"]
         cover = "-"
         if outcome.quality is not None:
             q = outcome.quality.cameras[name]
-            figures, cover = [str(q.views), f"{q.rms_px:.3f}"], q.coverage_words
-        lens = ", ".join(f"{k:.4f}" for k in camera.distortion)
-        rows.append([name, *figures, f"{m[0, 0]:.2f}, {m[1, 1]:.2f}", f"{m[0, 2]:.2f}, {m[1, 2]:.2f}", lens, cover])
+            figures, cover = [str(q.views), f"{q.rms_px:.3f}"], f"{100 * q.covered:.0f} %"
+        rows.append([name, *figures, f"{m[0, 0]:.2f}, {m[1, 1]:.2f}", f"{m[0, 2]:.2f}, {m[1, 2]:.2f}", cover])
     return rows
+
+
+def lens_rows(outcome: Outcome) -> list[list[str]]:
+    """Table of the lenses: heading, then a row per parameter with its standard deviation where that is known."""
+    rows = [["camera", "parameter", "value", "standard deviation"]]
+    for name, camera in outcome.rig.cameras.items():
+        m = camera.matrix
+        values = {"fx": m[0, 0], "fy": m[1, 1], "cx": m[0, 2], "cy": m[1, 2]}
+        values |= dict(zip(LENSES[camera.lens].coefficients, camera.distortion, strict=True))
+        sd = dict(outcome.quality.cameras[name].sd) if outcome.quality else {}
+        sd |= {"fx": sd["f"], "fy": sd["f"]} if "f" in sd else {}
+        rows += [[name, p, f"{v:.6g}", f"{sd[p]:.2g}" if p in sd else "-"] for p, v in values.items()]
+    return rows
+
+
+def coverage_lines(outcome: Outcome) -> list[str]:
+    """Where the corners of each camera lie, in words."""
+    if outcome.quality is None:
+        return []
+    return [f"{name}: corners cover {q.coverage_words}" for name, q in outcome.quality.cameras.items()]
 
 
 def pair_rows(outcome: Outcome) -> list[list[str]]:
     """Table of the pairs of cameras: heading, then a row each."""
-    rows = [["cameras", "shared views", "baseline [mm]", "angle [deg]", "epipolar [px]", "triangulated board [mm]"]]
+    rows = [["cameras", "shared", "baseline [mm]", "angle [deg]", "epipolar [px]", "board [mm]"]]
     for p in outcome.quality.pairs if outcome.quality else ():
         figures = [f"{p.baseline_mm:.2f}", f"{p.angle_deg:.1f}", _known(p.epipolar_px, 3), _known(p.board_mm, 4)]
         rows.append([", ".join(p.cameras), str(p.shared), *figures])
@@ -233,7 +251,8 @@ def write_report(
     tables = {"Cameras": camera_rows(outcome)}
     if len(outcome.rig.names) > 1 and outcome.quality is not None:
         tables["Pairs of cameras"] = pair_rows(outcome)
-    notes = [*outcome.left_out, *outcome.warnings]
+    tables["Lenses"] = lens_rows(outcome)
+    notes = [*outcome.left_out, *outcome.warnings, *coverage_lines(outcome)]
     written.append(folder / "report.html")
     write_atomic(written[-1], page(title, outcome.verdict, tables, outcome.view_px, notes, pictures))
     return written

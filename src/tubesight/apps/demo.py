@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
-from tubesight.apps.demo_report import write_report
-from tubesight.apps.evaluate import Evaluation, evaluate
-from tubesight.apps.run import RunOptions, RunReport, run_folder
+from tubesight.apps.calibrate import calibrate_folder
+from tubesight.apps.demo_report import Comparison, compare, summary, write_report
+from tubesight.apps.evaluate import evaluate
+from tubesight.apps.register import register_folder
+from tubesight.apps.run import RunOptions, run_folder
 from tubesight.apps.simulate import DatasetPlan, mockup_phantoms, write_dataset
-from tubesight.files.truth import TrueShape, load_truth
+from tubesight.core import InputError
+from tubesight.files.truth import load_truth
 from tubesight.simulate import rig_around
 
 # A quick demo has a quarter of the pixels, fewer views of the board, and half of the shapes.
@@ -28,29 +32,23 @@ class Demo:
 
     Attributes
     ----------
-    truth
-        By frame.
-    run
-        What was measured.
-    evaluation
-        Errors by frame.
+    comparisons
+        Measured and true, by frame.
+    summary
+        Largest errors, in words.
     verdicts
         On calibration and registration, a line each.
     seconds
         By step.
-    data, rig_path, results, report
-        Where photographs, rig, results and report are.
+    places
+        What was written, by what it is.
     """
 
-    truth: Mapping[str, TrueShape]
-    run: RunReport
-    evaluation: Evaluation
+    comparisons: tuple[Comparison, ...]
+    summary: str
     verdicts: tuple[str, ...]
-    seconds: Mapping[str, float]
-    data: Path
-    rig_path: Path
-    results: Path
-    report: Path
+    seconds: dict[str, float]
+    places: dict[str, Path]
 
 
 def run_demo(out: Path, quick: bool = False, progress: Progress = lambda step, done, total: None) -> Demo:
@@ -59,30 +57,44 @@ def run_demo(out: Path, quick: bool = False, progress: Progress = lambda step, d
     Raises
     ------
     InputError
-        If the results cannot be written.
+        If `out` cannot be written, or holds folders of these names that no demo made.
     """
-    data, rig_path, results, report = out / "data", out / "rig.yaml", out / "results", out / "report.html"
-    clock = _Clock()
+    data, results = out / "data", out / "results"
+    rig, tube, board, truth = out / "rig.yaml", data / "tube.yaml", data / "board.yaml", data / "truth.json"
+    _clear(data, truth)
+    _clear(results, results / "run.json")
+    seconds: dict[str, float] = {}
+    started = perf_counter()
+
+    def lap(step: str) -> None:
+        nonlocal started
+        seconds[step], started = perf_counter() - started, perf_counter()
+
     write_dataset(data, _plan(quick), lambda done, total: progress("taking photographs", done, total))
-    clock.lap("take photographs")
-    verdicts = _calibrate(data, rig_path, progress)
-    clock.lap("calibrate")
-    options = RunOptions(data, rig_path, results, data / "tube.yaml", overlay=True)
+    lap("photographs")
+    lenses = calibrate_folder(data / "calibration", board, rig, out / "calibration", progress)
+    base = register_folder(data / "registration", rig, board, rig, report=out / "registration", progress=progress)
+    lap("calibration")
+    options = RunOptions(data, rig, results, tube, overlay=True)
     run = run_folder(options, lambda done, total: progress("measuring shapes", done, total))
-    clock.lap("measure")
-    demo = Demo(
-        load_truth(data / "truth.json"),
-        run,
-        evaluate(results, data / "truth.json"),
-        verdicts,
-        clock.seconds,
-        data,
-        rig_path,
-        results,
-        report,
-    )
-    write_report(demo)
-    return demo
+    evaluation = evaluate(results, truth)
+    lap("shapes")
+    comparisons = compare(run.rows, load_truth(truth), evaluation)
+    verdicts = (f"calibration: {lenses.verdict.sentence}", f"registration: {base.verdict.sentence}")
+    report = out / "report.html"
+    write_report(report, comparisons, evaluation, verdicts, run.messages, seconds, results)
+    places = {
+        "report": report,
+        "overlays": results / "overlay",
+        "results": results,
+        "photographs": data,
+        "rig": rig,
+        "calibration report": out / "calibration" / "report.html",
+    }
+    plot = results / "shapes.png"
+    if plot in run.files:
+        places["3-D plot"] = plot
+    return Demo(tuple(comparisons), summary(evaluation), verdicts, seconds, places)
 
 
 def _plan(quick: bool) -> DatasetPlan:
@@ -93,23 +105,13 @@ def _plan(quick: bool) -> DatasetPlan:
     return DatasetPlan(few, rig_around(size_px=_QUICK_SIZE), board_views=_QUICK_VIEWS)
 
 
-class _Clock:
-    """Seconds by step."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = perf_counter()
-
-    def lap(self, step: str) -> None:
-        """Note the time since the last step."""
-        now = perf_counter()
-        self.seconds[step], self._last = now - self._last, now
-
-
-def _clear(folder: Path, mark: str) -> None:
-    """Remove what an earlier demo left; a folder that holds something else is not touched."""
+def _clear(folder: Path, mark: Path) -> None:
+    """Remove what an earlier demo left; a folder without its mark holds something else and is not touched."""
     if not folder.exists():
         return
-    if not (folder / mark).is_file():
-        raise InputError(f"{folder}: exists and is not from a demo; name another folder with -o")
-    shutil.rmtree(folder)
+    if not mark.is_file():
+        raise InputError(f"{folder}: not from a demo, so it is not overwritten; name another folder with -o")
+    try:
+        shutil.rmtree(folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be replaced ({error.strerror}); name another folder with -o") from error

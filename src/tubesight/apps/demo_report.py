@@ -43,7 +43,8 @@ small {{ color: #5b6875 }}
 boards, and the shapes measured. Nothing of the truth was used but to compare at the end.</p>
 <h2>Measured against true</h2>
 <div class="scroll">{table}</div>
-<p>{summary}</p>
+<p>{summary}. Simulated photographs are kinder than real ones: their lenses are exactly those of the model, boards are
+flat, nothing moves.</p>
 <h2>Cameras</h2><ul>{verdicts}</ul>
 <h2>What the pictures decided</h2><ul>{messages}</ul>
 <h2>Pictures</h2>{pictures}
@@ -95,14 +96,14 @@ def cells(comparison: Comparison) -> list[str]:
 
 
 def summary(evaluation: Evaluation) -> str:
-    """Largest errors, and what the frames without a shape mean, in words."""
+    """Say how many shapes were measured, and the largest errors."""
     measured = len(evaluation.frames) - evaluation.failures
-    text = (
-        f"{measured} of {len(evaluation.frames)} shapes measured; largest errors: tip {evaluation.max('tip_mm'):.3f} mm, "
-        f"bending {evaluation.max('bending_deg'):.3f} deg, orientation {evaluation.max('orientation_deg'):.3f} deg, "
-        f"length {evaluation.max('length_mm'):.3f} mm."
+    tip, bending = evaluation.max("tip_mm"), evaluation.max("bending_deg")
+    orientation, length = evaluation.max("orientation_deg"), evaluation.max("length_mm")
+    return (
+        f"{measured} of {len(evaluation.frames)} shapes measured; largest errors: tip {tip:.3f} mm, bending "
+        f"{bending:.3f} deg, orientation {orientation:.3f} deg, length {length:.3f} mm"
     )
-    return text
 
 
 def write_report(
@@ -157,7 +158,7 @@ def _items(lines: Iterable[str]) -> str:
 
 
 def _pictures(frames: Sequence[str], results: Path) -> str:
-    """The 3-D plot, where there is one, and the overlays."""
+    """Embed the 3-D plot, where there is one, and the overlays."""
     found = [("all shapes, base frame", results / "shapes.png")]
     found += [(frame, results / "overlay" / f"{frame}.png") for frame in frames]
     images = [(name, cv2.imread(str(path))) for name, path in found if path.is_file()]

@@ -133,7 +133,7 @@ def _picture_folder(folder: Path, file: RigFile, image: str) -> Path:
 
 
 def _record(made: Registration, points: Path | None, paths: Mapping[str, Mapping[str, Path]]) -> dict[str, Any]:
-    """What the rig file keeps of a registration."""
+    """Summarise a registration for the rig file."""
     record: dict[str, Any] = {"rms_px": round(made.rms_px, 5), "exact": made.exact}
     if points is not None:
         return record | {"points": points.name, "count": int(sum(len(o.px) for o in made.observations))}

@@ -135,15 +135,15 @@ def _camera_quality(rig: Rig, adjusted: Adjusted, name: str) -> CameraQuality:
             camera, _, parameter = full.rpartition(".")
             if camera == name and parameter not in POSE:
                 sd[parameter] = float(np.sqrt(max(variance, 0.0)))
-    return CameraQuality(len({o.view for o, _ in own}), rms([r for _, r in own]), counts, sd)
+    return CameraQuality(len(own), rms([r for _, r in own]), counts, sd)
 
 
 def _shared(adjusted: Adjusted, a: str, b: str) -> list[tuple[Observation, Observation]]:
     """Observations of the same view by two cameras, cut to the points both see."""
-    by_view: dict[tuple[str, str], Observation] = {(o.camera, o.view): o for o in adjusted.observations}
+    seen = {name: _by_view(adjusted, name) for name in (a, b)}
     pairs = []
-    for (camera, view), first in by_view.items():
-        if camera == a and (second := by_view.get((b, view))) is not None:
+    for view, first in seen[a].items():
+        if (second := seen[b].get(view)) is not None:
             index = {tuple(p): i for i, p in enumerate(second.points_mm)}
             both = [(i, index[tuple(p)]) for i, p in enumerate(first.points_mm) if tuple(p) in index]
             if both:
@@ -155,6 +155,18 @@ def _shared(adjusted: Adjusted, a: str, b: str) -> list[tuple[Observation, Obser
                     )
                 )
     return pairs
+
+
+def _by_view(adjusted: Adjusted, camera: str) -> dict[str, Observation]:
+    """One observation a view: the base frame of a registration may have several."""
+    views: dict[str, list[Observation]] = {}
+    for o in adjusted.observations:
+        if o.camera == camera:
+            views.setdefault(o.view, []).append(o)
+    return {
+        view: Observation(camera, view, np.concatenate([o.points_mm for o in own]), np.concatenate([o.px for o in own]))
+        for view, own in views.items()
+    }
 
 
 def _pair_quality(rig: Rig, adjusted: Adjusted, a: str, b: str) -> PairQuality:
@@ -282,10 +294,10 @@ def _remarks(quality: Quality) -> list[str]:
     remarks = []
     for name, camera in quality.cameras.items():
         if camera.views < _MANY_VIEWS:
-            remarks.append(f"{name} has only {camera.views} views; {_MANY_VIEWS} or more tilts are better")
+            remarks.append(f"{name}: only {camera.views} views; {_MANY_VIEWS} or more tilts are better")
         if camera.covered < _LITTLE_COVERED:
             remarks.append(
-                f"corners cover {camera.coverage_words} of {name}; the lens is guessed elsewhere, "
+                f"{name}: corners cover {camera.coverage_words}; the lens is guessed elsewhere, "
                 "so keep the tube where the boards were"
             )
     for pair in quality.pairs:

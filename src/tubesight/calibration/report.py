@@ -58,7 +58,7 @@ def coverage_picture(
         ends = [tuple(int(v) for v in np.rint(16 * p)) for p in (start, start + longer * vector)]
         cv2.circle(picture, ends[0], 2 * 16, colour, -1, cv2.LINE_AA, 4)
         cv2.line(picture, ends[0], ends[1], colour, 1, cv2.LINE_AA, 4)
-    caption = f"{len(px)} corners, RMS {rms([off]):.3f} px, lines: misfit x {longer / scale:.0f}"
+    caption = f"{len(px)} corners, RMS {rms([off]):.3f} px, lines: misfit enlarged {longer / scale:.0f} times"
     cv2.rectangle(picture, (0, shape[0] - 26), (shape[1], shape[0]), (20, 20, 20), -1)
     cv2.putText(picture, caption, (8, shape[0] - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (235, 235, 235), 1, cv2.LINE_AA)
     return np.asarray(picture, dtype=np.uint8)
@@ -66,11 +66,11 @@ def coverage_picture(
 
 def _tint_empty(picture: Image, px: Array) -> None:
     """Tint the cells of the picture without a corner."""
-    height, width = picture.shape[:2]
+    size = picture.shape[:2]
     columns, rows = CELLS
     for j in range(rows):
         for i in range(columns):
-            x, y = (slice(width * k // n, width * (k + 1) // n) for k, n in ((i, columns), (j, rows)))
+            x, y = (slice(s * k // n, s * (k + 1) // n) for s, k, n in ((size[1], i, columns), (size[0], j, rows)))
             inside = (px[:, 0] >= x.start) & (px[:, 0] < x.stop) & (px[:, 1] >= y.start) & (px[:, 1] < y.stop)
             if not inside.any():
                 picture[y, x] = (0.75 * picture[y, x] + 0.25 * _EMPTY).astype(np.uint8)

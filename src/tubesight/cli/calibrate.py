@@ -57,7 +57,7 @@ def bar() -> Iterator[Callable[[str, int, int], None]]:
 
 def show(outcome: Outcome, json: bool) -> None:
     """Print an outcome: tables, what was left out, the verdict and the next step."""
-    from tubesight.apps.calibrate import camera_rows, pair_rows
+    from tubesight.apps.calibrate import camera_rows, coverage_lines, pair_rows
     from tubesight.cli.console import remark, stdout, table
     from tubesight.files.tables import to_json
 
@@ -71,10 +71,10 @@ def show(outcome: Outcome, json: bool) -> None:
             for row in rows[1:]:
                 shown.add_row(*row)
             console.print(shown)
-    for name, value in outcome.registration.items():
-        if name == "deviation_mm":
-            for view, mm in value.items():
-                console.print(f"{view}: the board as stated is {mm:.3f} mm from where the pictures place it")
+    for line in coverage_lines(outcome):
+        console.print(line, soft_wrap=True)
+    for view, mm in outcome.registration.get("deviation_mm", {}).items():
+        console.print(f"{view}: the board as stated is {mm:.3f} mm from where the pictures place it")
     if outcome.left_out:
         console.print("not used:")
         for line in outcome.left_out:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from typing import Annotated
 
 import typer
 
 from tubesight import __version__
+from tubesight.cli import calibrate, demo, evaluate, methods, register, run
 from tubesight.core.errors import InputError
 
 app = typer.Typer(
@@ -37,13 +37,13 @@ def _common(
     pass
 
 
-# The commands by the order in which one meets them.
-for _name in ("demo", "calibrate", "register", "run", "evaluate", "methods"):
-    try:
-        _module = importlib.import_module(f"tubesight.cli.{_name}")
-    except ModuleNotFoundError:
-        continue
-    app.command(_name, cls=getattr(_module, "RunCommand", None))(_module.command)
+# By the order in which one meets them.
+app.command("demo")(demo.command)
+app.command("calibrate")(calibrate.command)
+app.command("register")(register.command)
+app.command("run", cls=run.RunCommand)(run.command)
+app.command("evaluate")(evaluate.command)
+app.command("methods")(methods.command)
 
 
 def main(args: list[str] | None = None) -> None:

@@ -67,8 +67,9 @@ class RigFile:
     rig
         Cameras, poses and, where the calibration gave one, their covariance.
     calibration
-        The file's ``calibration`` mapping as it is, None where there is none: ``rms_px``, ``views``, ``date``,
-        ``board``, ``image_hashes``, ``observations``, ``parameters``, ``covariance`` (upper triangle, row by row).
+        The file's ``calibration`` mapping as it is, None where there is none: ``rms_px``, ``date``, ``board``,
+        ``views``, ``left_out``, ``image_hashes``, ``observations``, ``registration``, ``parameters``, ``covariance``
+        (upper triangle, row by row).
     """
 
     rig: Rig

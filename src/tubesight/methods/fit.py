@@ -19,8 +19,10 @@ _CLAMP_MM, _CLAMP_RAD = 0.05, np.radians(0.05)
 _END_SD_MM = 0.02
 # A guess of the radius from the pictures is good to this share.
 _RADIUS_SHARE = 0.2
-# Edges may all lie this far outwards or inwards in one view (blur, gamma, limb shading).
-_BIAS_PX = 0.3
+# Edges may all lie this far outwards or inwards in one view (blur, gamma), and each row of them this far by itself (limb
+# shading), plus a share of its roughness: what roughens an edge also moves it.
+_BIAS_PX = 0.2
+_ROW_PX, _ROW_SHARE = 0.04, 0.7
 # Steps of the differences of the curve's nodes by its parameters: angles in rad, lengths in mm.
 _STEP = 1e-6
 _ITERATIONS = 30
@@ -52,6 +54,11 @@ class Rays:
         (N,) index of the view and of the row of edges (left, right, tip) it belongs to.
     sd_px
         (N,) roughness of its row.
+    lobes
+        (N, 2) the two ways in which shading moves a row: sides shift and tilt along the tube; a ball's contour shifts as a
+        whole in the picture, along both axes.
+    row_sd_px
+        (R,) how far each row may be moved so.
     place
         (N,) share of the way from base to tip in its view; 1 for rays of the tip.
     tip
@@ -66,21 +73,31 @@ class Rays:
     sd_px: Array
     place: Array
     tip: Mask
+    lobes: Array
+    row_sd_px: Array
 
 
 def collect(views: Mapping[str, View], rig: Rig, tube: Tube) -> Rays:
     """Gather the edge rays of all views and the rays of ball and rounded tips."""
     parts = []
+    row_sd = []
     for index, (name, view) in enumerate(views.items()):
         centre = rig.centre_mm(name)
         chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(view.centreline_px, axis=0), axis=1))])
         before = float(np.linalg.norm(view.tip.px - view.centreline_px[-1]))
         share = chord / (chord[-1] + before)
-        rows = [(view.edge_rays[:, k], share, view.edge_sd_px[k], False) for k in (0, 1)]
+        doubt = [*view.edge_doubt_px, view.tip.doubt_px]
+        rough = [*view.edge_sd_px, view.tip.rms_px]
+        row_sd += [np.hypot(_ROW_PX, d + _ROW_SHARE * r) for d, r in zip(doubt, rough, strict=True)]
+        sides = np.stack([np.ones(len(share)), 2 * share - 1], 1)
+        rows = [(view.edge_rays[:, k], share, view.edge_sd_px[k], False, sides) for k in (0, 1)]
         if tube.tip.shape != "flat":
             contour = rig.cameras[name].unproject(view.tip.contour_px)
-            rows.append((contour, np.ones(len(contour)), max(view.tip.rms_px, float(view.edge_sd_px.mean())), True))
-        for k, (rays, place, sd, is_tip) in enumerate(rows):
+            sd = max(view.tip.rms_px, float(view.edge_sd_px.mean()))
+            outward = view.tip.contour_px - view.tip.px
+            outward = outward / np.linalg.norm(outward, axis=1, keepdims=True)
+            rows.append((contour, np.ones(len(contour)), sd, True, outward))
+        for k, (rays, place, sd, is_tip, lobes) in enumerate(rows):
             n = len(rays)
             parts.append(
                 (
@@ -92,9 +109,10 @@ def collect(views: Mapping[str, View], rig: Rig, tube: Tube) -> Rays:
                     np.full(n, sd),
                     place,
                     np.full(n, is_tip),
+                    lobes,
                 )
             )
-    return Rays(*(np.concatenate(p) for p in zip(*parts, strict=True)))
+    return Rays(*(np.concatenate(p) for p in zip(*parts, strict=True)), np.array(row_sd))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +124,7 @@ class Fit:
     family
         Which.
     parameters
-        Of the family, then base (4), then the bias of each view (px), then the correction of the radius (mm).
+        Of the family, then base (4), then the bias of each view, two lobes of each row (px), then the correction of the radius (mm).
     nodes
         The curve in the base frame (a batch of one).
     residual_px
@@ -178,7 +196,7 @@ def fit_family(problem: Problem, family: Family, guess: Array) -> Fit:
     the unit normal times the derivative of the nearest point: at the nearest point its place does not matter.
     """
     count = family.count
-    p = np.concatenate([guess, np.zeros(BASE + problem.views + 1)])
+    p = np.concatenate([guess, np.zeros(BASE + 7 * problem.views + 1)])
     near: Array | None = None
     damping = 1e-3
     state = _evaluate(problem, family, p, near)
@@ -233,7 +251,8 @@ def prior(problem: Problem, family: Family, size: int) -> Array:
         weight[count : count + 2], weight[count + 2 : count + 4] = _CLAMP_MM**-2, _CLAMP_RAD**-2
     else:
         weight[count : count + 4] = _RIDGE
-    weight[count + BASE : -1] = _BIAS_PX**-2
+    weight[count + BASE : count + BASE + problem.views] = _BIAS_PX**-2
+    weight[count + BASE + problem.views : -1] = np.repeat(problem.rays.row_sd_px, 2) ** -2
     weight[-1] = _FIXED if problem.radius_known else (_RADIUS_SHARE * problem.radius_mm) ** -2
     return weight
 
@@ -317,8 +336,10 @@ def _evaluate(problem: Problem, family: Family, p: Array, near: Array | None) ->
     normal = miss / distance[:, None]
     to_px = rays.focal_px / along[rows, best]
     tube = problem.radius_mm + p[-1]
+    row = geometric + problem.views + 2 * rays.side
     radius = np.where(rays.tip & (problem.tip_radius_mm is not None), problem.tip_radius_mm or 0.0, tube)
     residual = (distance - radius) * to_px - p[geometric + rays.view]
+    residual -= rays.lobes[:, 0] * p[row] + rays.lobes[:, 1] * p[row + 1]
     fraction = np.clip(shift / spacing, -1, 1)
     other = np.clip(best + np.sign(fraction).astype(int), 0, last)
     share = np.abs(fraction)[:, None]
@@ -326,11 +347,13 @@ def _evaluate(problem: Problem, family: Family, p: Array, near: Array | None) ->
     jacobian = np.zeros((size, len(p)))
     jacobian[:, :geometric] = np.einsum("pnk,nk->np", moved, normal) * to_px[:, None]
     jacobian[rows, geometric + rays.view] = -1.0
+    jacobian[rows, row] = -rays.lobes[:, 0]
+    jacobian[rows, row + 1] = -rays.lobes[:, 1]
     jacobian[:, -1] = np.where(rays.tip & (problem.tip_radius_mm is not None), 0.0, -to_px)
     if problem.end_mm is not None:
         heading = tangents[-1]
         residual = np.append(residual, (points[-1] - problem.end_mm) @ heading / _END_SD_MM)
-        row = np.zeros(len(p))
-        row[:geometric] = slope[:, -1] @ heading / _END_SD_MM
-        jacobian = np.vstack([jacobian, row])
+        end = np.zeros(len(p))
+        end[:geometric] = slope[:, -1] @ heading / _END_SD_MM
+        jacobian = np.vstack([jacobian, end])
     return residual, jacobian, best + fraction, nodes

@@ -6,13 +6,10 @@ import numpy as np
 
 from tubesight.core import Array, Status, Unmeasurable
 from tubesight.geometry.curve import NodeCurve
-from tubesight.methods.fit import Fit, Problem, Rays, curve_of, prior, variances
+from tubesight.methods.fit import BASE, Fit, Problem, Rays, curve_of, prior, variances
 
 # Residuals along one edge hang together over about this length of tube.
 _BLOCK_MM = 25.0
-# Shading moves all edges of one side of one view by about this much, and by this share of the roughness that it and the noise
-# give them.
-_SHADING_PX, _SHADING_SHARE = 0.03, 0.7
 # Displaced curves are taken at this share of a deviation and scaled up: the map from parameters to numbers is linear there.
 _SHARE = 0.05
 
@@ -29,8 +26,7 @@ def picture_covariance(problem: Problem, fit: Fit) -> Array:
     """Covariance (P, P) of the parameters from the edges.
 
     Sandwich estimator ``H^-1 M H^-1``: M sums the gradients of blocks of one edge over `_BLOCK_MM` of tube, so that
-    correlated residuals count as often as they are independent, and adds a shift of each side by `_SHADING_PX` and the
-    priors. Blocks are corrected for the freedom the fit took.
+    correlated residuals count as often as they are independent, and adds the priors, among them the shift of each row. Blocks are corrected for the freedom the fit took.
     """
     rays = problem.rays
     inverse = bread(problem, fit)
@@ -47,10 +43,6 @@ def picture_covariance(problem: Problem, fit: Fit) -> Array:
     independent = (gradient[:, :, None] * gradient[:, None, :]).sum(0)
     freedom = len(labels) / max(len(labels) - fit.family.count, 1)
     middle = np.where(np.trace(inverse @ middle) > np.trace(inverse @ independent), middle * freedom, independent)
-    for row in np.unique(rays.side):
-        shift = (fit.jacobian[:n] * weight[:n, None])[rays.side == row].sum(0)
-        shift = shift * (_SHADING_PX + _SHADING_SHARE * float(rays.sd_px[rays.side == row][0]))
-        middle += np.outer(shift, shift)
     middle += np.diag(prior(problem, fit.family, len(fit.parameters)))
     return np.asarray(inverse @ middle @ inverse)
 
@@ -83,7 +75,7 @@ def displaced(problem: Problem, fit: Fit, covariance: Array) -> tuple[NodeCurve,
     Unmeasurable
         If a deviation is so large that the curve is not determined.
     """
-    geometric = len(fit.parameters) - problem.views - 1
+    geometric = fit.family.count + BASE
     values, vectors = np.linalg.eigh(covariance[:geometric, :geometric])
     factor = vectors * np.sqrt(np.clip(values, 0.0, None))
     moved = np.repeat(fit.parameters[None], geometric, axis=0)

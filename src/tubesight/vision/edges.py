@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -26,6 +26,8 @@ _PASSES = 3
 _FAR_PX, _FAR_SHARE = 5.0, 0.5
 # Shading inside may rise by this share of the edge's fall per pixel and is then extrapolated to the edge; more is a highlight.
 _RISE_MAX = 0.12
+# The extrapolation is right to about this part of what it changes.
+_RISE_DOUBT = 0.3
 # Cameras and JPEG record colour at half resolution, so edges are measured by brightness first; where tube and background
 # are equally bright colour has to help. Both are tried and the smoother edge is taken.
 _CHROMA = (1 / 3, 1.0)
@@ -42,10 +44,13 @@ class Edges:
         (N,) distance along each profile; NaN where no edge was found.
     drop
         (N,) fall of the tube's share over the edge.
+    doubt_px
+        How far the whole row may be off: what other ways to measure it, by colour or without shading, differ by.
     """
 
     position_px: Array
     drop: Array
+    doubt_px: float = 0.0
 
 
 def left_of(direction: Array) -> Array:
@@ -127,7 +132,9 @@ def measure_edges(lines: Profiles, guess_px: Array, blur_px: float) -> Edges:
         Width of the picture's edges (`blur_of`).
     """
     weights = _CHROMA if lines.colour.shape[-1] == 3 else (1.0,)
-    return min((_measure(lines, guess_px, blur_px, chroma) for chroma in weights), key=_scatter)
+    measured = [_measure(lines, guess_px, blur_px, chroma) for chroma in weights]
+    best = min(measured, key=_scatter)
+    return replace(best, doubt_px=best.doubt_px + max(_apart(best.position_px, other.position_px) for other in measured))
 
 
 def _measure(lines: Profiles, guess_px: Array, blur_px: float, chroma: float) -> Edges:
@@ -137,7 +144,14 @@ def _measure(lines: Profiles, guess_px: Array, blur_px: float, chroma: float) ->
         share = local_share(lines, position, blur_px, chroma)
         rise = _rise(share, lines.along, position, blur_px)
         position, drop = _half_level(share, lines.along, position, blur_px, rise)
-    return Edges(position, drop)
+    flat, _ = _half_level(share, lines.along, position, blur_px, 0 * rise)
+    return Edges(position, drop, _RISE_DOUBT * _apart(position, flat))
+
+
+def _apart(a: Array, b: Array) -> float:
+    """Median distance between two rows of edges; NaN-safe, large where one of them was not found."""
+    both = np.isfinite(a) & np.isfinite(b)
+    return float(abs(np.median((a - b)[both]))) if both.sum() >= 0.3 * len(a) else 1.0
 
 
 def blur_of(lines: Profiles, guess_px: Array) -> float:

@@ -72,12 +72,12 @@ def see(name: str, image: Image, background: Image | None, camera: Camera, tube:
     if start is not None:
         signal, track = _from_base(image, background, start)
         base = start.px
-        edges, blur = measure(signal, track)
+        edges, blur, doubt = measure(signal, track)
         tip = _tip_of(signal, camera, tube, track, blur)
     else:
         signal, track, tip = _from_middle(image, background, camera, tube, base_px)
         base = _first_of(signal, camera, track)
-        edges, blur = measure(signal, track)
+        edges, blur, doubt = measure(signal, track)
     edges = _before_tip(edges, tip, track, tube)
     if len(edges) < _SCANS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail=f"{len(edges)} scans")
@@ -87,7 +87,7 @@ def see(name: str, image: Image, background: Image | None, camera: Camera, tube:
     middle = bisector / bisector[:, 2:]
     notes = tuple(f"bridged a gap of {g:.1f} widths" for g in track.gaps)
     return View(
-        name, edges, unit, middle, camera.project(middle), camera.unproject(base), tip, _roughness(edges), blur, signal.why, notes
+        name, edges, unit, middle, camera.project(middle), camera.unproject(base), tip, _roughness(edges), doubt, blur, signal.why, notes
     )
 
 
@@ -122,7 +122,7 @@ def _from_middle(
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="the edges of what stands out are soon lost")
     backward = Track(forward.middle_px[::-1], forward.width_px[::-1], forward.gaps)
     hint = np.array([np.nan, -1e9]) if base_px is None else base_px
-    _, blur = measure(signal, forward)
+    _, blur, _ = measure(signal, forward)
     tracks = sorted((forward, backward), key=lambda t: _distance(t.middle_px[0], hint))
     failure = Unmeasurable(Status.TIP_NOT_FOUND)
     for track in tracks:

@@ -101,7 +101,7 @@ def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius:
     angles = np.linspace(-half, half, max(int(_RADIALS * half / np.pi), 12))
     left = left_of(heading)
     directions = np.cos(angles)[:, None] * heading + np.sin(angles)[:, None] * left
-    contour = np.empty((0, 2))
+    contour, doubt = np.empty((0, 2)), 0.0
     for sweep in range(4):
         # The first sweep looks far for a rough centre, the last ones near.
         low, high = (0.5, 1.5) if sweep == 0 else (0.7, 1.3)
@@ -115,13 +115,13 @@ def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius:
             raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its contour does not stand out")
         points = centre + directions * position[:, None]
         new_centre, new_radius, kept = _circle(points[good])
-        contour = points[good][kept]
+        contour, doubt = points[good][kept], edges.doubt_px
         if not abs(new_radius / radius - 1) < (2 * _RADIUS_OFF if sweep == 0 else _RADIUS_OFF):
             raise Unmeasurable(Status.TIP_NOT_FOUND, detail=f"radius {new_radius:.1f} px where {radius:.1f} were expected")
         centre = new_centre
     if len(contour) < _SEEN_MIN * len(angles):
         raise Unmeasurable(Status.TIP_NOT_FOUND, detail="too little of its contour is round")
-    return _cone_of_tangents(camera, contour)
+    return _cone_of_tangents(camera, contour, doubt)
 
 
 def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius: float, blur_px: float) -> TipView:
@@ -158,7 +158,7 @@ def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius
     px = end_px + place * heading
     ray = camera.unproject(px)
     angle = float(np.arctan(radius / camera.focal_px / np.linalg.norm(ray)))
-    return TipView(ray / np.linalg.norm(ray), px, angle, contour, rms)
+    return TipView(ray / np.linalg.norm(ray), px, angle, contour, rms, edges.doubt_px)
 
 
 def _unshrunk(edges: Edges, radius: float, blur_px: float) -> Array:
@@ -194,7 +194,7 @@ def _circle(points: Array) -> tuple[Array, float, Array]:
     return centre, radius, keep
 
 
-def _cone_of_tangents(camera: Camera, contour: Array) -> TipView:
+def _cone_of_tangents(camera: Camera, contour: Array, doubt_px: float) -> TipView:
     """Axis of the circular cone of unit rays u that touch a ball: ``u . a = 1``, ``axis = a / |a|``, ``cos = 1 / |a|``."""
     rays = camera.unproject(contour)
     unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
@@ -214,7 +214,7 @@ def _cone_of_tangents(camera: Camera, contour: Array) -> TipView:
     if rms > _RMS_MAX_PX:
         raise Unmeasurable(Status.TIP_NOT_FOUND, detail=f"its contour is not round (rms {rms:.1f} px)")
     axis = a / np.linalg.norm(a)
-    return TipView(axis, camera.project(axis), float(np.arccos(1 / np.linalg.norm(a))), contour[keep], rms)
+    return TipView(axis, camera.project(axis), float(np.arccos(1 / np.linalg.norm(a))), contour[keep], rms, doubt_px)
 
 
 def _flat(signal: Signal, camera: Camera, end_px: Array, heading: Array, width_px: float, blur_px: float) -> TipView:
@@ -243,4 +243,4 @@ def _flat(signal: Signal, camera: Camera, end_px: Array, heading: Array, width_p
     middle = end_px + heading * solution[0]
     ray = camera.unproject(middle)
     contour = (origins[good] + heading * place[:, None])[keep]
-    return TipView(ray / np.linalg.norm(ray), middle, float("nan"), contour, rms)
+    return TipView(ray / np.linalg.norm(ray), middle, float("nan"), contour, rms, edges.doubt_px)

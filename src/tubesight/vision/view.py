@@ -23,8 +23,8 @@ class TipView:
         Half the angle under which the ball or rounded end is seen; NaN for a flat end.
     contour_px
         (K, 2) edge points it rests on.
-    rms_px
-        Their root mean square distance from the model.
+    rms_px, doubt_px
+        Their root mean square distance from the model, and how far they all may be off.
     """
 
     axis: Array
@@ -32,6 +32,7 @@ class TipView:
     angle_rad: float
     contour_px: Array
     rms_px: float
+    doubt_px: float
 
     def __post_init__(self) -> None:
         for name, shape in (("axis", (3,)), ("px", (2,)), ("contour_px", (None, 2))):
@@ -60,6 +61,8 @@ class View:
         The end of the tube.
     edge_sd_px
         (2,) roughness of the left and right row of edges: robust deviation of an edge from its neighbours' line.
+    edge_doubt_px
+        (2,) how far the whole row may be off (`tubesight.vision.edges.Edges`).
     blur_px
         Measured width of the edges as the sigma of a Gaussian, median.
     segmenter
@@ -76,13 +79,14 @@ class View:
     base: Array
     tip: TipView
     edge_sd_px: Array
+    edge_doubt_px: Array
     blur_px: float
     segmenter: str
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.edges_px)
-        shapes = {"edges_px": (n, 2, 2), "edge_rays": (n, 2, 3), "rays": (n, 3), "centreline_px": (n, 2), "base": (3,), "edge_sd_px": (2,)}
+        shapes = {"edges_px": (n, 2, 2), "edge_rays": (n, 2, 3), "rays": (n, 3), "centreline_px": (n, 2), "base": (3,), "edge_sd_px": (2,), "edge_doubt_px": (2,)}
         for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 

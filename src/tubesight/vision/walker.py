@@ -162,14 +162,14 @@ def _predict(middles: list[Array], places: list[float], place: float, start: Arr
     return np.asarray(coefficients[0]), np.asarray(way)
 
 
-def measure(signal: Signal, track: Track) -> tuple[Array, float]:
+def measure(signal: Signal, track: Track) -> tuple[Array, float, Array]:
     """Measure both edges on scans normal to a followed tube.
 
     Returns
     -------
-    edges_px, blur_px
-        (N, 2, 2) left and right edges in order, without scans on which an edge stands out of line, and the width of the
-        picture's edges.
+    edges_px, blur_px, doubt_px
+        (N, 2, 2) left and right edges in order, without scans on which an edge stands out of line, the width of the
+        picture's edges, and (2,) how far each whole row may be off.
     """
     chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track.middle_px, axis=0), axis=1))])
     spline = CubicSpline(chord, track.middle_px)
@@ -192,7 +192,7 @@ def measure(signal: Signal, track: Track) -> tuple[Array, float]:
     drop = np.stack([e.drop for e in found], 1)
     good = np.isfinite(offset).all(1) & (np.nan_to_num(drop) > _DROP_MIN).all(1)
     good[good] = _in_line(s[good], offset[good])
-    return edges[good], blur
+    return edges[good], blur, np.array([e.doubt_px for e in found])
 
 
 def _in_line(s: Array, offset: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
