@@ -260,3 +260,13 @@ def test_scene_refuses_nonsense() -> None:
         Scene(light=(0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match=r"noise_levels: expected zero or more, got -1"):
         Scene(noise_levels=-1)
+
+
+def test_shared_fixture_photographs_what_its_truth_says(simulated_pair) -> None:
+    made = simulated_pair(Arc(0.7, 0.4, 150.0), angle_deg=60.0, size_px=SIZE)
+    assert made is simulated_pair(Arc(0.7, 0.4, 150.0), angle_deg=60.0, size_px=SIZE)
+    for name, image in made.pair.images.items():
+        assert image.shape == (SIZE[1], SIZE[0], 3)
+        column, row = np.rint(made.rig.project(name, np.array(made.truth["tip"]))).astype(int)
+        # The ball is the white thing on the blue cloth.
+        assert image[row, column, 2] > 80 > image[row, column + 40, 2]

@@ -10,6 +10,7 @@ from html import escape
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from tubesight import __version__
 from tubesight.apps.evaluate import Evaluation
@@ -161,7 +162,7 @@ def _pictures(frames: Sequence[str], results: Path) -> str:
     """Embed the 3-D plot, where there is one, and the overlays."""
     found = [("all shapes, base frame", results / "shapes.png")]
     found += [(frame, results / "overlay" / f"{frame}.png") for frame in frames]
-    images = [(name, cv2.imread(str(path))) for name, path in found if path.is_file()]
+    images = [(name, np.asarray(cv2.imread(str(path)), np.uint8)) for name, path in found if path.is_file()]
     return "".join(
         f'<h3>{escape(name)}</h3><img alt="{escape(name)}" src="{_embedded(image)}">' for name, image in images
     )

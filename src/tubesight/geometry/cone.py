@@ -19,6 +19,9 @@ _TANGENT = 1e-12
 _EVENNESS = 1e-3
 
 
+Indices = np.ndarray[tuple[int], np.dtype[np.intp]]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits:
     """Where rays meet a cone.
@@ -150,19 +153,23 @@ def ordered_depths(hits: Hits, cone_from_ray: Pose, rays: Array, arc_xy: Array, 
     depths = np.full(len(rays), np.nan)
     if not len(index):
         return depths
-    chain = _cheapest_chain(node[index], place[index], tolerance)
+    chain = _cheapest_chain(node[index], place[index] / tolerance, np.diff(index))
     chosen = hits.depths_mm[index, chain]
     depths[index] = np.where(off[index, chain] <= tolerance, chosen, np.nan)
     return depths
 
 
-def _cheapest_chain(node: Array, place: Array, tolerance: float) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Viterbi over pairs of neighbouring roots: node costs, squared steps backwards, and squared changes of step."""
+def _cheapest_chain(node: Array, place: Array, rays_apart: Indices) -> Indices:
+    """Viterbi over pairs of neighbouring roots: node costs, squared steps backwards, and squared changes of step.
+
+    Steps over lost rays count by the ray.
+    """
     if len(node) == 1:
         return np.array([int(node[0].argmin())])
     # step[k, i, j]: from root i of ray k to root j of ray k + 1; roots that are not valid have an infinite node cost.
-    step = np.nan_to_num(place[1:, None, :] - place[:-1, :, None]) / tolerance
+    step = np.nan_to_num(place[1:, None, :] - place[:-1, :, None])
     order = np.minimum(step, 0.0) ** 2
+    step = step / rays_apart[:, None, None]
     total = node[0][:, None] + order[0] + node[1]
     before = np.zeros((len(node), 2, 2), dtype=np.intp)
     for k in range(2, len(node)):

@@ -14,6 +14,9 @@ from tubesight.geometry.camera import Camera
 from tubesight.geometry.lens import LENSES
 from tubesight.geometry.pose import Pose
 
+# Least share of information across the rays that there has to be along them: the square of an angle of 1e-6 rad.
+_PARALLEL = 1e-12
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigCovariance:
@@ -106,7 +109,14 @@ class Rig:
         camera_name, parameter = name.rsplit(".", 1)
         camera, pose = self.cameras[camera_name], self.camera_from_base.get(camera_name)
         matrix, distortion = np.array(camera.matrix), np.array(camera.distortion)
-        places = {"f": ((0, 0), (1, 1)), "fx": ((0, 0),), "fy": ((1, 1),), "cx": ((0, 2),), "cy": ((1, 2),), "skew": ((0, 1),)}
+        places = {
+            "f": ((0, 0), (1, 1)),
+            "fx": ((0, 0),),
+            "fy": ((1, 1),),
+            "cx": ((0, 2),),
+            "cy": ((1, 2),),
+            "skew": ((0, 1),),
+        }
         coefficients = LENSES[camera.lens].coefficients
         if parameter in places:
             scale = matrix[1, 1] / matrix[0, 0]
@@ -139,7 +149,8 @@ class Rig:
         Returns
         -------
         Array
-            (N, 3) base frame; NaN where fewer than two cameras see the point or the rays are parallel.
+            (N, 3) base frame; NaN where fewer than two cameras see the point, or its rays are parallel or do not meet
+            in front of the cameras.
         """
         names = list(rays)
         v = np.stack([np.asarray(rays[n], float) for n in names])
@@ -153,7 +164,7 @@ class Rig:
         across = (np.eye(3) - directions[..., :, None] * directions[..., None, :]) * seen[..., None, None]
         normal = across.sum(0)
         right = np.einsum("cnij,cj->ni", across, centres)
-        usable = (seen.sum(0) >= 2) & (np.linalg.eigvalsh(normal)[:, 0] > 1e-12)
+        usable = (seen.sum(0) >= 2) & (np.linalg.eigvalsh(normal)[:, 0] > _PARALLEL)
         points = np.full((v.shape[1], 3), np.nan)
         points[usable] = np.linalg.solve(normal[usable], right[usable][..., None])[..., 0]
         for _ in range(3):
@@ -168,5 +179,7 @@ class Rig:
             residual, rows = np.where(seen[..., None], residual, 0.0), np.where(seen[..., None, None], rows, 0.0)
             hessian = np.einsum("cnki,cnkj->nij", rows, rows)
             gradient = np.einsum("cnki,cnk->ni", rows, residual)
+            spread = np.linalg.eigvalsh(np.where(usable[:, None, None], hessian, 0.0))
+            usable &= ((z > 0) | ~seen).all(0) & (spread[:, 0] > _PARALLEL * spread[:, 2])
             points[usable] -= np.linalg.solve(hessian[usable], gradient[usable][..., None])[..., 0]
-        return points
+        return np.where(usable[:, None], points, np.nan)

@@ -74,6 +74,8 @@ class Silhouette:
 
 def _problem(views: Mapping[str, View], rig: Rig, tube: Tube, start: Pose, tip: Array) -> Problem:
     ball = tube.tip.diameter_mm if tube.tip.shape == "ball" else None
+    if tube.diameter_mm is None and ball is None and tube.tip.shape != "flat":
+        ball = 2 * _tip_radius(views, rig, tip)
     radius = tube.diameter_mm / 2 if tube.diameter_mm is not None else _radius_guess(views, rig, tip)
     return Problem(
         rays=collect(views, rig, tube),
@@ -94,6 +96,12 @@ def _radius_guess(views: Mapping[str, View], rig: Rig, tip: Array) -> float:
         cosine = np.clip((view.edge_rays[-5:, 0] * view.edge_rays[-5:, 1]).sum(1), -1, 1)
         guesses.append(np.linalg.norm(tip - rig.centre_mm(name)) * np.sin(np.median(np.arccos(cosine)) / 2))
     return float(np.median(guesses))
+
+
+def _tip_radius(views: Mapping[str, View], rig: Rig, tip: Array) -> float:
+    """Radius of a ball or rounded end from the angle under which it is seen."""
+    radii = [np.linalg.norm(tip - rig.centre_mm(name)) * np.sin(view.tip.angle_rad) for name, view in views.items()]
+    return float(np.mean(radii))
 
 
 def _frame_at_start(curve: Curve3D) -> Pose:

@@ -23,6 +23,12 @@ _SCANS_MIN = 8
 _FIRST_WIDTHS = np.arange(0.3, 3.0, 0.15)
 
 
+# Ratios of ball and tube that are tried where they are not known; each finds balls a quarter larger or smaller.
+_RATIOS_TRIED = (1.0, 1.25, 1.6, 2.0)
+# A base that is known to be near is believed where it is nearer to one end than this share of the other end's distance.
+_NEARER = 0.5
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
     """Where the tube starts in a picture: place (2,), unit way (2,), width."""
@@ -124,6 +130,9 @@ def _from_middle(
     hint = np.array([np.nan, -1e9]) if base_px is None else base_px
     _, blur, _ = measure(signal, forward)
     tracks = sorted((forward, backward), key=lambda t: _distance(t.middle_px[0], hint))
+    near, far = (_distance(t.middle_px[0], hint) for t in tracks)
+    if base_px is not None and near < _NEARER * far:
+        tracks = tracks[:1]
     failure = Unmeasurable(Status.TIP_NOT_FOUND)
     for track in tracks:
         try:
@@ -171,10 +180,25 @@ def _tip_of(signal: Signal, camera: Camera, tube: Tube, track: Track, blur_px: f
     """Find the tip from the last part of the track, extrapolated by its way and bend."""
     start, way, bend = _last_way(track)
     width = float(np.median(track.width_px[-5:]))
-    ratio = 1.0
+    views = []
+    failure = Unmeasurable(Status.TIP_NOT_FOUND)
+    for ratio in _ball_ratios(tube):
+        try:
+            views.append(find_tip(signal, camera, tube.tip, start, way, bend, width, ratio, blur_px))
+        except Unmeasurable as caught:
+            failure = caught
+    if not views:
+        raise failure
+    return min(views, key=lambda view: view.rms_px)
+
+
+def _ball_ratios(tube: Tube) -> tuple[float, ...]:
+    """Diameter of the ball over that of the tube: known, or to be tried; a round end of an unknown tube may be a ball."""
+    if tube.diameter_mm is None and tube.tip.shape != "flat":
+        return _RATIOS_TRIED
     if tube.tip.shape == "ball" and tube.tip.diameter_mm is not None and tube.diameter_mm is not None:
-        ratio = tube.tip.diameter_mm / tube.diameter_mm
-    return find_tip(signal, camera, tube.tip, start, way, bend, width, ratio, blur_px)
+        return (tube.tip.diameter_mm / tube.diameter_mm,)
+    return (1.0,)
 
 
 def _before_tip(edges: Array, tip: TipView, track: Track, tube: Tube) -> Array:

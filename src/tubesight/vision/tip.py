@@ -86,7 +86,7 @@ def find_tip(signal: Signal, camera: Camera, tip: Tip, start_px: Array, way: Arr
     end_px = start_px + end * way + bend * end**2 / 2 * left_of(way)
     if tip.shape == "flat":
         return _flat(signal, camera, end_px, heading, width_px, blur_px)
-    if tip.shape == "round":
+    if tip.shape == "round" and ball_ratio == 1.0:
         try:
             return _round(signal, camera, end_px, heading, width_px / 2, blur_px)
         except Unmeasurable:
