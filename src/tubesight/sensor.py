@@ -118,7 +118,9 @@ class ShapeSensor:
         camera = self.rig.cameras[name]
         width, height = camera.size_px
         if image.shape[:2] != (height, width):
-            raise Unmeasurable(Status.BAD_IMAGE, detail=f"{image.shape[1]} x {image.shape[0]}, the rig has {width} x {height}")
+            raise Unmeasurable(
+                Status.BAD_IMAGE, detail=f"{image.shape[1]} x {image.shape[0]}, the rig has {width} x {height}"
+            )
         pose, background, base_px = self.rig.camera_from_base[name], self.backgrounds.get(name), self.base_px.get(name)
         start = None
         if self.tube.clamped and self.tube.diameter_mm is not None:
@@ -130,7 +132,8 @@ class ShapeSensor:
     def _tip_sd_mm(self, curve: Curve3D) -> float:
         tip = curve.at([curve.length_mm])[0]
         per_px = [
-            float(pose.apply(tip)[2]) / self.rig.cameras[name].focal_px for name, pose in self.rig.camera_from_base.items()
+            float(pose.apply(tip)[2]) / self.rig.cameras[name].focal_px
+            for name, pose in self.rig.camera_from_base.items()
         ]
         return _TIP_SD_PX * max(per_px)
 

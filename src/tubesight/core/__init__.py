@@ -7,4 +7,16 @@ from tubesight.core.frames import FramePair
 from tubesight.core.status import Status, Unmeasurable
 from tubesight.core.tube import Tip, Tube
 
-__all__ = ["Array", "Board", "FramePair", "Image", "InputError", "Mask", "Status", "Tip", "Tube", "Unmeasurable", "readonly"]
+__all__ = [
+    "Array",
+    "Board",
+    "FramePair",
+    "Image",
+    "InputError",
+    "Mask",
+    "Status",
+    "Tip",
+    "Tube",
+    "Unmeasurable",
+    "readonly",
+]

@@ -1,7 +1,7 @@
 """Families of centrelines by a few parameters: what the silhouette fit chooses from.
 
-Each family maps its parameters to nodes along the curve, in the frame of its start (origin, leaving along +z), for a batch of
-parameter vectors at once, so that a Jacobian by differences is one call.
+Each family maps its parameters to nodes along the curve, in the frame of its start (origin, leaving along +z), for a
+batch of parameter vectors at once, so that a Jacobian by differences is one call.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from tubesight.core import Array
 
 # Intervals between nodes: 2.5 mm on a 160 mm tube, on which a parabola is exact to 1e-5 mm.
 INTERVALS = 64
-# Nodes as shares of the length, the places and weights of a Gauss-Legendre quadrature between them, and the Legendre polynomials
-# of curvature with their integrals there, up to the highest order of any family.
+# Nodes as shares of the length, the places and weights of a Gauss-Legendre quadrature between them, and the Legendre
+# polynomials of curvature with their integrals there, up to the highest order of any family.
 _ENDS = np.linspace(0.0, 1.0, INTERVALS + 1)
 _NODES, _WEIGHTS = (values / (2 * INTERVALS) for values in np.polynomial.legendre.leggauss(4))
 _INNER = ((_ENDS[:-1] + 0.5 / INTERVALS)[:, None] + _NODES).ravel()
@@ -58,8 +58,8 @@ class Family:
     nodes
         ``(B, count) -> Nodes``.
     soft
-        Indices of parameters that the data may leave open (shares of pieces, ratios of axes), each with the deviation from 0
-        that is expected of it.
+        Indices of parameters that the data may leave open (shares of pieces, ratios of axes), each with the deviation
+        from 0 that is expected of it.
     """
 
     name: str
@@ -105,9 +105,10 @@ def _pieces(bends: Array, lengths: Array) -> Nodes:
         tangent = np.stack([bend[:, :1] * turn, bend[:, 1:] * turn, np.cos(angle)], -1)
         safe = np.maximum(total, 1e-300)
         direction = bend / safe
-        inward = np.stack(
-            [direction[:, :1] * np.cos(angle), direction[:, 1:] * np.cos(angle), -np.sin(angle)], -1
-        ) * (total / length)[..., None]
+        inward = (
+            np.stack([direction[:, :1] * np.cos(angle), direction[:, 1:] * np.cos(angle), -np.sin(angle)], -1)
+            * (total / length)[..., None]
+        )
         first = 0 if k == 0 else 1
         parts.append(
             (
@@ -156,7 +157,7 @@ def ellipse_nodes(parameters: Array) -> Nodes:
 
 
 def polynomial_nodes(parameters: Array) -> Nodes:
-    """Plane curve whose curvature is a polynomial: ``(azimuth, c0, ..., cn, length)``, Legendre, cn in rad of total turn."""
+    """Plane curve of polynomial curvature: ``(azimuth, c0, ..., cn, length)``, Legendre, cn in rad of total turn."""
     azimuth, length = parameters[:, :1], parameters[:, -1:]
     coefficients = parameters[:, 1:-1]
     count = coefficients.shape[1]

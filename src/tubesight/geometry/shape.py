@@ -64,8 +64,8 @@ def shape_of(curve: Curve3D, orientation_from_mm: float) -> Shape:
     curve
         Centreline in the base frame.
     orientation_from_mm
-        Distance of the tip from the z axis below which its azimuth is undefined whatever the curve's deviations are; it is
-        at least three standard deviations of that distance.
+        Distance of the tip from the z axis below which its azimuth is undefined whatever the curve's deviations are;
+        it is at least three standard deviations of that distance.
     """
     values = _measure(curve)
     picture, rig = _unknown(), _unknown()

@@ -12,8 +12,8 @@ from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
 from tubesight.vision.view import View
 
-# Largest distance of the tip rays from each other; a quarter of a tube's width more where the base is only an edge of the
-# picture of a holder.
+# Largest distance of the tip rays from each other; a quarter of a tube's width more where the base is only an edge of
+# the picture of a holder.
 _TIP_GAP_MAX_PX = 4.0
 _BASE_GAP_WIDTHS = 0.5
 
@@ -27,17 +27,19 @@ def triangulate_tip(views: Mapping[str, View], rig: Rig) -> Array:
         If the axes do not meet.
     """
     rays = {name: (view.tip.axis / view.tip.axis[2])[None] for name, view in views.items()}
-    tip = rig.triangulate(rays)[0]
+    tip: Array = rig.triangulate(rays)[0]
     for name, view in views.items():
         off = float(np.linalg.norm(rig.project(name, tip) - view.tip.px))
         if not off <= _TIP_GAP_MAX_PX:
-            raise Unmeasurable(Status.VIEWS_DISAGREE, detail=f"the tip's rays miss each other by {off:.1f} px in {name}")
+            raise Unmeasurable(
+                Status.VIEWS_DISAGREE, detail=f"the tip's rays miss each other by {off:.1f} px in {name}"
+            )
     return tip
 
 
 def base_of(views: Mapping[str, View], rig: Rig) -> Array | None:
-    """Base (3,) of a free tube from the places where its ends are seen, or None where they do not meet."""
-    base = rig.triangulate({name: view.base[None] for name, view in views.items()})[0]
+    """Triangulate the base (3,) of a free tube from where its start is seen; None where the rays do not meet."""
+    base: Array = rig.triangulate({name: view.base[None] for name, view in views.items()})[0]
     for name, view in views.items():
         off = float(np.linalg.norm(rig.project(name, base) - rig.cameras[name].project(view.base)))
         if not off <= _BASE_GAP_WIDTHS * float(np.median(view.widths_px)):
@@ -61,8 +63,8 @@ def reprojection_rms_px(curve: Curve3D, views: Mapping[str, View], rig: Rig) -> 
 def flat_tip(views: Mapping[str, View], rig: Rig, tip_mm: Array, tangent: Array, radius_mm: float) -> Array:
     """Middle (3,) of a flat end face, with the rim that the tangent predicts laid on each view's contour.
 
-    Where the face is seen obliquely, its contour is half of the rim's image. The first guess of the tip is moved in each
-    picture, along the tube, by the median distance of the contour from the predicted rim.
+    Where the face is seen obliquely, its contour is half of the rim's image. The first guess of the tip is moved in
+    each picture, along the tube, by the median distance of the contour from the predicted rim.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """The closed form: cone over one view's conic, rays of the other (Dalvand, Nahavandi & Howe 2016).
 
-Three choices differ from the paper, each because it fails less: the cone camera is the one whose curve the other's rays cross
-most squarely (the paper: the more curved one), the root is the one whose reprojection runs along the observed arc in order
-(equation 10: nearest in depth), and the tip is triangulated from the two tip axes.
+Three choices differ from the paper, each because it fails less: the cone camera is the one whose curve the other's
+rays cross most squarely (the paper: the more curved one), the root is the one whose reprojection runs along the
+observed arc in order (equation 10: nearest in depth), and the tip is triangulated from the two tip axes.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def curve_points(one: View, other: View, rig: Rig) -> tuple[Array, Array]:
     Returns
     -------
     points_mm, weights
-        (N, 3) in the base frame, in order from the base, and (N,) relative precision: |sin| of the angle at which the ray's
-        epipolar line crosses the cone view's curve.
+        (N, 3) in the base frame, in order from the base, and (N,) relative precision: |sin| of the angle at which the
+        ray's epipolar line crosses the cone view's curve.
     """
     crossing = {
         cone.camera: epipolar_crossing(cone.rays[:, :2], rig.relative_pose(cone.camera, ray.camera).translation_mm)
@@ -98,7 +98,9 @@ def curve_points(one: View, other: View, rig: Rig) -> tuple[Array, Array]:
     weights = _crossing_weights(arc, place, pose.translation_mm)
     good = np.isfinite(depths) & (weights > _CROSSING_MIN)
     if good.sum() < _HITS_MIN:
-        raise Unmeasurable(Status.NEAR_DEGENERATE, detail=f"{int(good.sum())} of {len(good)} rays meet the other view's cone")
+        raise Unmeasurable(
+            Status.NEAR_DEGENERATE, detail=f"{int(good.sum())} of {len(good)} rays meet the other view's cone"
+        )
     base_from_ray = rig.camera_from_base[ray_view.camera].inverse()
     return base_from_ray.apply(points[good]), weights[good]
 
@@ -126,7 +128,7 @@ def _crossing_weights(arc: Array, place: Array, epipole: Array) -> Array:
     towards = epipole[:2] - epipole[2] * arc
     sine = np.abs(tangent[:, 0] * towards[:, 1] - tangent[:, 1] * towards[:, 0])
     sine /= np.linalg.norm(tangent, axis=1) * np.maximum(np.linalg.norm(towards, axis=1), 1e-12)
-    return np.interp(np.nan_to_num(place), along, sine)
+    return np.asarray(np.interp(np.nan_to_num(place), along, sine))
 
 
 def _clamped(points: Array, weights: Array, tip: Array) -> list[Callable[[], Curve3D]]:

@@ -19,8 +19,8 @@ _CLAMP_MM, _CLAMP_RAD = 0.05, np.radians(0.05)
 _END_SD_MM = 0.02
 # A guess of the radius from the pictures is good to this share.
 _RADIUS_SHARE = 0.2
-# Edges may all lie this far outwards or inwards in one view (blur, gamma), and each row of them this far by itself (limb
-# shading), plus a share of its roughness: what roughens an edge also moves it.
+# Edges may all lie this far outwards or inwards in one view (blur, gamma), and each row of them this far by itself
+# (limb shading), plus a share of its roughness: what roughens an edge also moves it.
 _BIAS_PX = 0.2
 _ROW_PX, _ROW_SHARE = 0.04, 0.7
 # Steps of the differences of the curve's nodes by its parameters: angles in rad, lengths in mm.
@@ -55,8 +55,8 @@ class Rays:
     sd_px
         (N,) roughness of its row.
     lobes
-        (N, 2) the two ways in which shading moves a row: sides shift and tilt along the tube; a ball's contour shifts as a
-        whole in the picture, along both axes.
+        (N, 2) the two ways in which shading moves a row: sides shift and tilt along the tube; a ball's contour shifts
+        as a whole in the picture, along both axes.
     row_sd_px
         (R,) how far each row may be moved so.
     place
@@ -112,7 +112,10 @@ def collect(views: Mapping[str, View], rig: Rig, tube: Tube) -> Rays:
                     lobes,
                 )
             )
-    return Rays(*(np.concatenate(p) for p in zip(*parts, strict=True)), np.array(row_sd))
+    origin, direction, focal, view_index, side, rough_px, place, tip, lobes = (
+        np.concatenate(p) for p in zip(*parts, strict=True)
+    )
+    return Rays(origin, direction, focal, view_index, side, rough_px, place, tip, lobes, np.array(row_sd))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +127,8 @@ class Fit:
     family
         Which.
     parameters
-        Of the family, then base (4), then the bias of each view, two lobes of each row (px), then the correction of the radius (mm).
+        Of the family, then base (4), then the bias of each view, two lobes of each row (px), then the correction of
+        the radius (mm).
     nodes
         The curve in the base frame (a batch of one).
     residual_px
@@ -191,9 +195,10 @@ class Problem:
 def fit_family(problem: Problem, family: Family, guess: Array) -> Fit:
     """Fit one family from a first guess of its parameters.
 
-    Minimises the robust sum of squared pixels of ``(distance of ray to centreline - radius) focal / range - bias of the view`` with
-    priors on clamp and bias, by Levenberg-Marquardt steps with reweighting. The distance's derivative by a parameter is
-    the unit normal times the derivative of the nearest point: at the nearest point its place does not matter.
+    Minimises the robust sum of squared pixels of ``(distance of ray to centreline - radius) focal / range - bias of
+    the view`` with priors on clamp and bias, by Levenberg-Marquardt steps with reweighting. The distance's derivative
+    by a parameter is the unit normal times the derivative of the nearest point: at the nearest point its place does
+    not matter.
     """
     count = family.count
     p = np.concatenate([guess, np.zeros(BASE + 7 * problem.views + 1)])
@@ -266,11 +271,13 @@ def _anchored(problem: Problem, family: Family, p: Array) -> Array:
 
 
 def _cost(problem: Problem, family: Family, p: Array, residual: Array, weight: Array) -> float:
-    return float((weight * residual**2 / variances(problem, residual)).sum() + (_anchored(problem, family, p) * p).sum())
+    return float(
+        (weight * residual**2 / variances(problem, residual)).sum() + (_anchored(problem, family, p) * p).sum()
+    )
 
 
 def _weights(problem: Problem, residual: Array, first: bool) -> Array:
-    """Tukey's biweight by rows of edges; on the way from a rough guess everything counts, the farthest less (Cauchy)."""
+    """Tukey's biweight by rows; on the way from a rough guess everything counts, the farthest less (Cauchy)."""
     n = len(problem.rays.place)
     weight = np.ones(len(residual))
     for row in np.unique(problem.rays.side):

@@ -1,7 +1,7 @@
 """The silhouette fit: the curve whose tube has the edges that the pictures show.
 
-No edge is paired with another and no view with another: each sub-pixel edge ray asks only that the tube touch it, which is exact
-for a tube of constant radius. The family of the curve is the simplest one that explains the edges.
+No edge is paired with another and no view with another: each sub-pixel edge ray asks only that the tube touch it,
+which is exact for a tube of constant radius. The family of the curve is the simplest one that explains the edges.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from tubesight.methods.fit import Fit, Problem, collect, fit_family
 from tubesight.methods.uncertainty import displaced, picture_covariance, rig_covariance
 from tubesight.vision.view import View
 
-# The simplest family whose rms is within this factor of the best one's is taken: residuals on photographs are systematic, so
-# that a criterion for independent noise would take too rich a family.
+# The simplest family whose rms is within this factor of the best one's is taken: residuals on photographs are
+# systematic, so that a criterion for independent noise would take too rich a family.
 _SIMPLEST_WITHIN = 1.35
 # Rms under which families are not compared: shading and compression move edges by this much.
 _RMS_FLOOR_PX = 0.06
-# A plane quadratic curve with a smaller rms than this is not challenged by shapes of several bends: on photographs the right
-# family leaves 0.03 to 0.2 px, a wrong one over 0.5 px.
+# A plane quadratic curve with a smaller rms than this is not challenged by shapes of several bends: on photographs the
+# right family leaves 0.03 to 0.2 px, a wrong one over 0.5 px.
 _GOOD_PX = 0.25
 # A tube whose centreline bends more sharply than this share of its radius' inverse kinks.
 _SHARPEST = 0.7
@@ -64,7 +64,9 @@ class Silhouette:
         chosen = choose_family(problem, tip)
         if tube.tip.shape == "flat":
             curve = _curve(chosen)
-            tip = flat_tip(views, rig, curve.at([curve.length_mm])[0], curve.tangent([curve.length_mm])[0], problem.radius_mm)
+            tip = flat_tip(
+                views, rig, curve.at([curve.length_mm])[0], curve.tangent([curve.length_mm])[0], problem.radius_mm
+            )
             problem = replace(problem, end_mm=tip)
             chosen = fit_family(problem, chosen.family, chosen.parameters[: chosen.family.count])
         if chosen.rms_px > _RMS_MAX_PX:

@@ -10,7 +10,8 @@ from tubesight.methods.fit import BASE, Fit, Problem, Rays, curve_of, prior, var
 
 # Residuals along one edge hang together over about this length of tube.
 _BLOCK_MM = 25.0
-# Displaced curves are taken at this share of a deviation and scaled up: the map from parameters to numbers is linear there.
+# Displaced curves are taken at this share of a deviation and scaled up: the map from parameters to numbers is linear
+# there.
 _SHARE = 0.05
 
 
@@ -26,7 +27,8 @@ def picture_covariance(problem: Problem, fit: Fit) -> Array:
     """Covariance (P, P) of the parameters from the edges.
 
     Sandwich estimator ``H^-1 M H^-1``: M sums the gradients of blocks of one edge over `_BLOCK_MM` of tube, so that
-    correlated residuals count as often as they are independent, and adds the priors, among them the shift of each row. Blocks are corrected for the freedom the fit took.
+    correlated residuals count as often as they are independent, and adds the priors, among them the shift of each row.
+    Blocks are corrected for the freedom the fit took.
     """
     rays = problem.rays
     inverse = bread(problem, fit)

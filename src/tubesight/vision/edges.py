@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from tubesight.core import Array
+from tubesight.core import Array, Mask
 from tubesight.vision.signal import Signal
 
 # Spacing of samples along a profile. Half a pixel loses nothing of a bilinear picture.
 SPACING_PX = 0.5
 # Parallel lines averaged into one profile, this far apart along the tube.
 LINES_PX = (-1.5, -0.5, 0.5, 1.5)
-# Plateaus of the half level lie this far inside and outside of the edge of a sharp picture (limb shading makes the inside rise
-# within pixels, gamma and sharpening disturb the outside), and clear of the edge itself where it is blurred: an edge of a
-# sharp picture has a sigma of 0.7 to 1 px.
+# Plateaus of the half level lie this far inside and outside of the edge of a sharp picture (limb shading makes the
+# inside rise within pixels, gamma and sharpening disturb the outside), and clear of the edge itself where it is
+# blurred: an edge of a sharp picture has a sigma of 0.7 to 1 px.
 _INSIDE_PX, _OUTSIDE_PX = 1.0, 2.5
 _SHARP_PX, _INSIDE_SIGMAS, _OUTSIDE_SIGMAS = 0.55, 2.2, 2.5
 _SIGMA_FIRST_PX = 0.8
@@ -24,12 +24,13 @@ _SIGMA_RANGE_PX = (0.4, 4.0)
 _PASSES = 3
 # The width of an edge is measured between plateaus this far from it, but no deeper than a part of the tube.
 _FAR_PX, _FAR_SHARE = 5.0, 0.5
-# Shading inside may rise by this share of the edge's fall per pixel and is then extrapolated to the edge; more is a highlight.
+# Shading inside may rise by this share of the edge's fall per pixel and is then extrapolated to the edge; more is a
+# highlight.
 _RISE_MAX = 0.12
 # The extrapolation is right to about this part of what it changes.
 _RISE_DOUBT = 0.3
-# Cameras and JPEG record colour at half resolution, so edges are measured by brightness first; where tube and background
-# are equally bright colour has to help. Both are tried and the smoother edge is taken.
+# Cameras and JPEG record colour at half resolution, so edges are measured by brightness first; where tube and
+# background are equally bright colour has to help. Both are tried and the smoother edge is taken.
 _CHROMA = (1 / 3, 1.0)
 _LUMA_BGR = np.array([0.114, 0.587, 0.299])
 
@@ -54,7 +55,7 @@ class Edges:
 
 
 def left_of(direction: Array) -> Array:
-    """Unit normal (..., 2) to the left of a way in a picture (y down): facing down, left is +x."""
+    """Return the unit normal (..., 2) to the left of a way in a picture (y down): facing down, left is +x."""
     return np.stack([direction[..., 1], -direction[..., 0]], -1)
 
 
@@ -100,7 +101,12 @@ class Profiles:
 
 
 def colour_profiles(
-    signal: Signal, origin_px: Array, direction: Array, along: Array, depth_px: float, lines_px: tuple[float, ...] = LINES_PX
+    signal: Signal,
+    origin_px: Array,
+    direction: Array,
+    along: Array,
+    depth_px: float,
+    lines_px: tuple[float, ...] = LINES_PX,
 ) -> Profiles:
     """Sample colours along lines, each the mean of a few parallel ones.
 
@@ -117,7 +123,8 @@ def colour_profiles(
     points = origin_px[:, None, :] + along[:, None] * direction[:, None, :]
     samples = [signal.colours(points + offset * side[:, None, :]) for offset in lines_px]
     colour = np.mean([c for c, _ in samples], axis=0)
-    behind = None if signal.background is None else np.mean([b for _, b in samples], axis=0)
+    empty = [b for _, b in samples if b is not None]
+    behind = np.mean(empty, axis=0) if empty else None
     return Profiles(colour, behind, along, depth_px)
 
 
@@ -134,7 +141,9 @@ def measure_edges(lines: Profiles, guess_px: Array, blur_px: float) -> Edges:
     weights = _CHROMA if lines.colour.shape[-1] == 3 else (1.0,)
     measured = [_measure(lines, guess_px, blur_px, chroma) for chroma in weights]
     best = min(measured, key=_scatter)
-    return replace(best, doubt_px=best.doubt_px + max(_apart(best.position_px, other.position_px) for other in measured))
+    return replace(
+        best, doubt_px=best.doubt_px + max(_apart(best.position_px, other.position_px) for other in measured)
+    )
 
 
 def _measure(lines: Profiles, guess_px: Array, blur_px: float, chroma: float) -> Edges:
@@ -229,7 +238,7 @@ def _running_median(rows: Array) -> Array:
     half = min(4, len(rows) - 1)
     padded = np.pad(rows, ((half, half), (0, 0)), mode="reflect")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
-    missing = ~np.isfinite(windows).any(-1)
+    missing: Mask = np.asarray(np.isnan(windows).all(-1))
     return np.asarray(np.where(missing, np.nan, np.nanmedian(np.where(missing[..., None], 0.0, windows), axis=-1)))
 
 
@@ -242,7 +251,7 @@ def steepest(profile: Array, along: Array, sigma_px: float = 1.0) -> tuple[Array
 
 
 def refine(profile: Array, along: Array, guess_px: Array) -> Array:
-    """Half-level crossings (N,) nearest a guess, on profiles (N, L) of the signal that fall outwards; NaN where none is."""
+    """Find half-level crossings (N,) nearest a guess, on profiles (N, L) that fall outwards; NaN where none is."""
     position = np.array(guess_px, dtype=float)
     for _ in range(2):
         position, drop = _half_level(profile, along, position, _SIGMA_FIRST_PX, np.zeros(len(position)))

@@ -11,7 +11,8 @@ from tubesight.core import Array, Image, Mask, Status, Unmeasurable
 
 # The search works on a picture of about this width: a tube 8 px wide in a 1080p picture is still 3 px there.
 _WIDTH_PX = 720
-# Surroundings are the median over a window of this share of the picture's width: wider than twice any tube it should find.
+# Surroundings are the median over a window of this share of the picture's width: wider than twice any tube it should
+# find.
 _WINDOW = 0.09
 # A tube is at least this many times longer than wide.
 _ELONGATION_MIN = 4.0
@@ -48,7 +49,9 @@ def find_seed(image: Image, background: Image | None, near_px: Array | None = No
     difference = _difference(small, None if background is None else _shrink(background, factor))
     best: tuple[float, Mask, float] | None = None
     for level in _levels(difference):
-        count, labels, stats, _ = cv2.connectedComponentsWithStats((difference > level).astype(np.uint8), connectivity=8)
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(
+            (difference > level).astype(np.uint8), connectivity=8
+        )
         for label in range(1, count):
             if stats[label, cv2.CC_STAT_AREA] < _AREA_MIN_PX:
                 continue
@@ -88,7 +91,7 @@ def _levels(difference: Array) -> list[float]:
     """Thresholds to try: above the noise, up to half of the strongest difference."""
     noise = 6 * float(np.median(difference)) + 6.0
     top = float(np.percentile(difference, 99.7))
-    return [level for level in np.geomspace(noise, max(noise, 0.6 * top), 4)]
+    return [float(level) for level in np.geomspace(noise, max(noise, 0.6 * top), 4)]
 
 
 def _is_near(mask: Mask, px: Array) -> bool:
@@ -122,7 +125,7 @@ def _middle(mask: Mask, width: float) -> tuple[Array, Array]:
 
 
 def _geodesic(mask: Mask, start: Array) -> Array:
-    """Steps within the region from the end that is farthest from `start`: two sweeps of breadth-first search."""
+    """Count steps within the region from the end farthest from `start` (two sweeps of breadth-first search)."""
     distance = _flood(mask, (int(start[1]), int(start[0])))
     far = np.unravel_index(int(np.where(np.isfinite(distance), distance, -1).argmax()), distance.shape)
     return _flood(mask, (int(far[0]), int(far[1])))
@@ -137,7 +140,7 @@ def _flood(mask: Mask, start: tuple[int, int]) -> Array:
     kernel = np.ones((3, 3), np.uint8)
     while front.any():
         step += 1
-        front = (cv2.dilate(front, kernel) & allowed) & (1 - seen)
+        front = np.asarray(cv2.dilate(front, kernel), dtype=np.uint8) & allowed & (1 - seen)
         seen |= front
         distance[front > 0] = step
     return distance

@@ -19,7 +19,8 @@ from tubesight.vision.walker import Track, find_pair, measure, walk
 
 # Fewest scans a view needs: below it neither a conic nor a bend can be fitted.
 _SCANS_MIN = 8
-# The tube may be hidden in the clamp's shadow or rim: its first pair of edges is looked for this far from the base, in widths.
+# The tube may be hidden in the clamp's shadow or rim: its first pair of edges is looked for this far from the base, in
+# widths.
 _FIRST_WIDTHS = np.arange(0.3, 3.0, 0.15)
 
 
@@ -50,13 +51,23 @@ def clamp_start(camera: Camera, camera_from_base: Pose, diameter_mm: float) -> S
     axis = camera_from_base.rotation[:, 2]
     across = np.cross(axis, origin)
     across = across / np.linalg.norm(across) * diameter_mm / 2
-    px, ahead, one, other = camera.project(np.stack([origin, origin + axis * diameter_mm / 4, origin + across, origin - across]))
+    px, ahead, one, other = camera.project(
+        np.stack([origin, origin + axis * diameter_mm / 4, origin + across, origin - across])
+    )
     if not (np.isfinite(px).all() and np.isfinite(ahead).all() and camera.contains(px)):
         raise Unmeasurable(Status.BASE_HIDDEN, detail="the base origin projects outside of the picture")
     return Start(px, (ahead - px) / np.linalg.norm(ahead - px), float(np.linalg.norm(one - other)))
 
 
-def see(name: str, image: Image, background: Image | None, camera: Camera, tube: Tube, start: Start | None, base_px: Array | None = None) -> View:
+def see(
+    name: str,
+    image: Image,
+    background: Image | None,
+    camera: Camera,
+    tube: Tube,
+    start: Start | None,
+    base_px: Array | None = None,
+) -> View:
     """See the tube in one picture.
 
     Parameters
@@ -93,7 +104,18 @@ def see(name: str, image: Image, background: Image | None, camera: Camera, tube:
     middle = bisector / bisector[:, 2:]
     notes = tuple(f"bridged a gap of {g:.1f} widths" for g in track.gaps)
     return View(
-        name, edges, unit, middle, camera.project(middle), camera.unproject(base), tip, _roughness(edges), doubt, blur, signal.why, notes
+        name,
+        edges,
+        unit,
+        middle,
+        camera.project(middle),
+        camera.unproject(base),
+        tip,
+        _roughness(edges),
+        doubt,
+        blur,
+        signal.why,
+        notes,
     )
 
 
@@ -193,7 +215,7 @@ def _tip_of(signal: Signal, camera: Camera, tube: Tube, track: Track, blur_px: f
 
 
 def _ball_ratios(tube: Tube) -> tuple[float, ...]:
-    """Diameter of the ball over that of the tube: known, or to be tried; a round end of an unknown tube may be a ball."""
+    """Diameter of ball over tube: known, or to be tried; the round end of an unknown tube may be a ball."""
     if tube.diameter_mm is None and tube.tip.shape != "flat":
         return _RATIOS_TRIED
     if tube.tip.shape == "ball" and tube.tip.diameter_mm is not None and tube.diameter_mm is not None:
@@ -214,7 +236,7 @@ def _before_tip(edges: Array, tip: TipView, track: Track, tube: Tube) -> Array:
     middle = edges.mean(1)
     near = np.linalg.norm(middle - tip.px, axis=1) < 1.5 * width + room
     keep = ~near | ((tip.px - middle) @ way > room)
-    return edges[keep]
+    return np.asarray(edges[keep])
 
 
 def _roughness(edges: Array) -> Array:
@@ -224,4 +246,4 @@ def _roughness(edges: Array) -> Array:
     second = np.diff(edges, 2, axis=0)
     off = np.abs(np.einsum("nsk,nk->ns", second, across[1:-1]))
     # A second difference of independent deviations has sqrt(6) times their deviation.
-    return np.maximum(1.4826 * np.median(off, axis=0) / np.sqrt(6), 0.02)
+    return np.asarray(np.maximum(1.4826 * np.median(off, axis=0) / np.sqrt(6), 0.02))

@@ -1,10 +1,10 @@
 """How much a pixel looks like tube rather than background, from 0 to 1, in linear light.
 
-All segmenters are one formula: with the colours T of the tube and B of the background, a pixel I belongs to the nearer of the
-two, distances measured in the deviations that noise and shading (which scales a colour) give each of them:
-``share = d_B^2 / (d_T^2 + d_B^2 + 1)``, ``d_X^2 = (I - X)^T (noise^2 I + shading^2 X X^T)^-1 (I - X)``. Segmenters differ in
-where B comes from: a picture of the empty scene, or the surroundings of the tube. A third colour belongs to neither and
-counts as background as soon as it is farther from T.
+All segmenters are one formula: with the colours T of the tube and B of the background, a pixel I belongs to the nearer
+of the two, distances measured in the deviations that noise and shading (which scales a colour) give each of them:
+``share = d_B^2 / (d_T^2 + d_B^2 + 1)``, ``d_X^2 = (I - X)^T (noise^2 I + shading^2 X X^T)^-1 (I - X)``. Segmenters
+differ in where B comes from: a picture of the empty scene, or the surroundings of the tube. A third colour belongs to
+neither and counts as background as soon as it is farther from T.
 
 This signal finds the tube; edges are measured with the colours just inside and outside of each (`edges.local_share`).
 """
@@ -20,8 +20,8 @@ from tubesight.core import Array, Image, readonly
 # sRGB to linear light (IEC 61966-2-1) for the 256 levels of a picture.
 _LEVELS = np.arange(256) / 255.0
 LINEAR_LIGHT = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4).astype(np.float32)
-# Noise and texture of a picture in linear light; shares by which shading scales the colour of a tube (round, so lit from dark to
-# bright) and shadows that of a background.
+# Noise and texture of a picture in linear light; shares by which shading scales the colour of a tube (round, so lit
+# from dark to bright) and shadows that of a background.
 _NOISE = 0.02
 _SHADING_TUBE, _SHADING_CLOTH = 0.35, 0.25
 
@@ -50,7 +50,7 @@ def sample(image: Image, points_px: Array) -> Array:
 
     def corner(r: int, c: int) -> Array:
         values = LINEAR_LIGHT[image[row + r, column + c]]
-        return values[..., None] if image.ndim == 2 else values
+        return np.asarray(values[..., None] if image.ndim == 2 else values)
 
     top = corner(0, 0) * (1 - u) + corner(0, 1) * u
     bottom = corner(1, 0) * (1 - u) + corner(1, 1) * u
@@ -88,7 +88,9 @@ class Signal:
 
     def colours(self, points_px: Array) -> tuple[Array, Array | None]:
         """Colours (..., C) at points (..., 2) and, where there is a picture of it, of the background behind them."""
-        return sample(self.image, points_px), None if self.background is None else sample(self.background, points_px) * self.gain
+        return sample(self.image, points_px), None if self.background is None else sample(
+            self.background, points_px
+        ) * self.gain
 
     def __call__(self, points_px: Array) -> Array:
         """Likeness to tube (...) at points (..., 2); NaN outside the picture."""

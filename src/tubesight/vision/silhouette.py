@@ -21,8 +21,8 @@ _GAIN_STRIDE = 16
 def choose(image: Image, background: Image | None, start_px: Array, way: Array, width_px: float) -> Signal:
     """Learn the colours where the tube has to be and choose the segmenter.
 
-    A background picture is used where there is one; otherwise the tube's and the cloth's colours beside the base, by colour
-    or by contrast of either sign.
+    A background picture is used where there is one; otherwise the tube's and the cloth's colours beside the base, by
+    colour or by contrast of either sign.
 
     Parameters
     ----------
@@ -85,10 +85,14 @@ def _gain(image: Image, background: Image) -> Array:
     if image.shape != background.shape:
         raise ValueError(f"background picture: expected shape {image.shape}, got {background.shape}")
     height, width = image.shape[:2]
-    grid = np.stack(np.meshgrid(np.arange(0, width, _GAIN_STRIDE), np.arange(0, height, _GAIN_STRIDE)), -1).astype(float)
+    grid = np.stack(np.meshgrid(np.arange(0, width, _GAIN_STRIDE), np.arange(0, height, _GAIN_STRIDE)), -1).astype(
+        float
+    )
     now, empty = sample(image, grid), sample(background, grid)
     lit = (empty > 0.02) & (empty < 0.95)
     return np.array(
-        [float(np.median((now / np.maximum(empty, 1e-6))[..., c][lit[..., c]])) if lit[..., c].sum() > 50 else 1.0
-         for c in range(now.shape[-1])]
+        [
+            float(np.median((now / np.maximum(empty, 1e-6))[..., c][lit[..., c]])) if lit[..., c].sum() > 50 else 1.0
+            for c in range(now.shape[-1])
+        ]
     )

@@ -28,7 +28,9 @@ _OFF_CIRCLE = 0.06
 _FACE_WIDTHS = 0.42
 
 
-def end_of_tube(signal: Signal, camera: Camera, start_px: Array, way: Array, bend: float, width_px: float, reach_px: float) -> float:
+def end_of_tube(
+    signal: Signal, camera: Camera, start_px: Array, way: Array, bend: float, width_px: float, reach_px: float
+) -> float:
     """Distance from a place on the tube to its end, along its way.
 
     Parameters
@@ -64,7 +66,17 @@ def end_of_tube(signal: Signal, camera: Camera, start_px: Array, way: Array, ben
     raise Unmeasurable(Status.TIP_NOT_FOUND, detail="the tube does not end")
 
 
-def find_tip(signal: Signal, camera: Camera, tip: Tip, start_px: Array, way: Array, bend: float, width_px: float, ball_ratio: float, blur_px: float) -> TipView:
+def find_tip(
+    signal: Signal,
+    camera: Camera,
+    tip: Tip,
+    start_px: Array,
+    way: Array,
+    bend: float,
+    width_px: float,
+    ball_ratio: float,
+    blur_px: float,
+) -> TipView:
     """Find the tip beyond a place near the end of the tube.
 
     Parameters
@@ -96,7 +108,9 @@ def find_tip(signal: Signal, camera: Camera, tip: Tip, start_px: Array, way: Arr
     return _ball(signal, camera, end_px - radius * heading, heading, radius, half, blur_px)
 
 
-def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius: float, half: float, blur_px: float) -> TipView:
+def _ball(
+    signal: Signal, camera: Camera, centre: Array, heading: Array, radius: float, half: float, blur_px: float
+) -> TipView:
     """Fit the cone of tangent rays to a ball's contour, starting from a rough centre."""
     angles = np.linspace(-half, half, max(int(_RADIALS * half / np.pi), 12))
     left = left_of(heading)
@@ -117,7 +131,9 @@ def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius:
         new_centre, new_radius, kept = _circle(points[good])
         contour, doubt = points[good][kept], edges.doubt_px
         if not abs(new_radius / radius - 1) < (2 * _RADIUS_OFF if sweep == 0 else _RADIUS_OFF):
-            raise Unmeasurable(Status.TIP_NOT_FOUND, detail=f"radius {new_radius:.1f} px where {radius:.1f} were expected")
+            raise Unmeasurable(
+                Status.TIP_NOT_FOUND, detail=f"radius {new_radius:.1f} px where {radius:.1f} were expected"
+            )
         centre = new_centre
     if len(contour) < _SEEN_MIN * len(angles):
         raise Unmeasurable(Status.TIP_NOT_FOUND, detail="too little of its contour is round")
@@ -127,8 +143,8 @@ def _ball(signal: Signal, camera: Camera, centre: Array, heading: Array, radius:
 def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius: float, blur_px: float) -> TipView:
     """Centre of a rounded end: on the way of the tube, one radius behind its contour.
 
-    The width and the way are those of the tube's edges; only the place along the way is taken from the end's contour, from
-    as much of it on the lit as on the shaded side.
+    The width and the way are those of the tube's edges; only the place along the way is taken from the end's contour,
+    from as much of it on the lit as on the shaded side.
     """
     angles = np.linspace(-_ROUND_HALF_RAD, _ROUND_HALF_RAD, 41)
     directions = np.cos(angles)[:, None] * heading + np.sin(angles)[:, None] * left_of(heading)
@@ -162,7 +178,7 @@ def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius
 
 
 def _unshrunk(edges: Edges, radius: float, blur_px: float) -> Array:
-    """Places of the edges of a disc without its blur: a Gaussian of sigma moves its half level inwards by sigma^2 / (2 radius)."""
+    """Undo the blur of a disc: a Gaussian of sigma moves its half level inwards by sigma^2 / (2 radius)."""
     return np.asarray(edges.position_px + blur_px**2 / (2 * radius))
 
 
@@ -195,7 +211,7 @@ def _circle(points: Array) -> tuple[Array, float, Array]:
 
 
 def _cone_of_tangents(camera: Camera, contour: Array, doubt_px: float) -> TipView:
-    """Axis of the circular cone of unit rays u that touch a ball: ``u . a = 1``, ``axis = a / |a|``, ``cos = 1 / |a|``."""
+    """Fit the circular cone of unit rays u that touch a ball: ``u . a = 1``, the axis is ``a / |a|``."""
     rays = camera.unproject(contour)
     unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     keep = np.isfinite(unit).all(1)

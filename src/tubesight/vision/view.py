@@ -86,7 +86,15 @@ class View:
 
     def __post_init__(self) -> None:
         n = len(self.edges_px)
-        shapes = {"edges_px": (n, 2, 2), "edge_rays": (n, 2, 3), "rays": (n, 3), "centreline_px": (n, 2), "base": (3,), "edge_sd_px": (2,), "edge_doubt_px": (2,)}
+        shapes = {
+            "edges_px": (n, 2, 2),
+            "edge_rays": (n, 2, 3),
+            "rays": (n, 3),
+            "centreline_px": (n, 2),
+            "base": (3,),
+            "edge_sd_px": (2,),
+            "edge_doubt_px": (2,),
+        }
         for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 

@@ -7,8 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from tubesight.core import Array
-from tubesight.vision.edges import SPACING_PX, blur_of, colour_profiles, left_of, measure_edges, profiles, refine, steepest
+from tubesight.core import Array, Mask
+from tubesight.vision.edges import (
+    SPACING_PX,
+    blur_of,
+    colour_profiles,
+    left_of,
+    measure_edges,
+    profiles,
+    refine,
+    steepest,
+)
 from tubesight.vision.signal import Signal
 
 # A step longer than 1.6 half-widths loses the tube at its bends; half a width leaves room.
@@ -147,7 +156,9 @@ def walk(signal: Signal, start_px: Array, direction: Array, width_px: float) -> 
     return Track(np.array(middles).reshape(-1, 2), np.array(widths), tuple(g for g in gaps if g > 1.0))
 
 
-def _predict(middles: list[Array], places: list[float], place: float, start: Array, direction: Array) -> tuple[Array, Array]:
+def _predict(
+    middles: list[Array], places: list[float], place: float, start: Array, direction: Array
+) -> tuple[Array, Array]:
     """Extrapolate the way: from the start, then by a line, then by a parabola through the last middles."""
     if len(middles) < 3:
         origin, since = (middles[-1], places[-1]) if middles else (start, 0.0)
@@ -190,7 +201,7 @@ def measure(signal: Signal, track: Track) -> tuple[Array, float, Array]:
     offset = np.stack([e.position_px for e in found], 1)
     edges = np.stack([middle + left * offset[:, :1], middle - left * offset[:, 1:]], 1)
     drop = np.stack([e.drop for e in found], 1)
-    good = np.isfinite(offset).all(1) & (np.nan_to_num(drop) > _DROP_MIN).all(1)
+    good: Mask = np.asarray(np.isfinite(offset).all(1) & (np.nan_to_num(drop) > _DROP_MIN).all(1))
     good[good] = _in_line(s[good], offset[good])
     return edges[good], blur, np.array([e.doubt_px for e in found])
 
