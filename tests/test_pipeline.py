@@ -92,7 +92,7 @@ def test_deviations_cover_the_errors() -> None:
     ids=["unknown", "clamped", "free"],
 )
 def test_less_is_known_of_the_tube(tube: Tube) -> None:
-    """Without diameter, tip or clamp the tip is still found; a free tube also shows what hangs above the base origin."""
+    """Without diameter, tip or clamp the tip is still found; a free tube also shows what hangs above the origin."""
     result = mockup_sensor(tube=tube)(mockup_pair("0001"))
     assert result, result.notes
     truth = mockup_truth("0001")
