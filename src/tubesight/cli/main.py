@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from tubesight import __version__
-from tubesight.cli import bench, calibrate, demo, evaluate, methods, register, run
+from tubesight.cli import bench, calibrate, demo, evaluate, methods, register, run, simulate
 from tubesight.core.errors import InputError
 
 app = typer.Typer(
@@ -44,6 +44,7 @@ app.command("register")(register.command)
 app.command("run", cls=run.RunCommand)(run.command)
 app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
+app.command("simulate")(simulate.command)
 app.command("bench")(bench.command)
 
 
