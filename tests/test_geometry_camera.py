@@ -97,16 +97,15 @@ def test_derivatives_of_lenses_follow_differences(camera: Camera, seed: int) -> 
     assert np.allclose(model.jacobian(xy, k), np.stack(columns, -1), rtol=0, atol=1e-8)
 
 
-def test_equidistant_lens_is_smooth_on_its_axis() -> None:
+@pytest.mark.parametrize("radius", [0.0, 1e-9, 0.99e-5, 1.01e-5, 1e-4])
+def test_equidistant_lens_is_smooth_on_its_axis(radius: float) -> None:
+    """The series takes over at r = 1e-5; both sides of the seam agree to its next term, r^4 = 1e-20, and rounding."""
     model, k = LENSES["equidistant"], np.array([0.1, -0.02, 0.003, 0.001])
-    # The series takes over at r = 1e-5; both sides of the seam agree to the next term, r^4 = 1e-20, and rounding.
-    for radius in (0.0, 1e-9, 0.99e-5, 1.01e-5, 1e-4):
-        xy = np.array([[radius, 0.0]])
-        assert model.distort(xy, k)[0, 0] == pytest.approx(
-            np.arctan(radius) * (1 + k[0] * np.arctan(radius) ** 2), rel=1e-14
-        )
-        assert undistort(model, model.distort(xy, k), k)[0, 0] == pytest.approx(radius, rel=1e-9, abs=1e-18)
-        assert np.allclose(model.jacobian(xy, k), np.eye(2), rtol=0, atol=1e-7)
+    xy, angle = np.array([[radius, 0.0]]), np.arctan(radius)
+    assert model.distort(xy, k)[0, 0] == pytest.approx(angle * (1 + k[0] * angle**2), rel=1e-14, abs=0)
+    assert undistort(model, model.distort(xy, k), k)[0, 0] == pytest.approx(radius, rel=1e-9, abs=1e-14)
+    # The next term of the derivative is 3 (k1 - 1 / 3) r^2.
+    assert np.allclose(model.jacobian(xy, k), np.eye(2), rtol=0, atol=3 * radius**2 + 1e-12)
 
 
 def test_a_point_behind_the_camera_has_no_image() -> None:
@@ -152,6 +151,16 @@ def test_strong_lenses_return_the_near_branch(k1: float, k2: float, p1: float, p
     found = undistort(model, model.distort(xy[regular], k), k)
     # Residual 1e-14, amplified by the inverse of a derivative with determinant 0.05 and norm below 4: 80 times.
     assert np.allclose(found, xy[regular], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("radius", "k"), [(1.16, (0.33, -0.11, -0.05)), (1.29, (0.46, 0.01, -0.03)), (0.94, (0.47, -0.27, -0.06))]
+)
+def test_wild_lenses_need_shorter_steps(radius: float, k: tuple[float, float, float]) -> None:
+    """Full Newton steps from the distorted point leave the region in which these lenses are regular."""
+    model, coefficients = LENSES["brown"], np.array([k[0], k[1], 0, 0, k[2]])
+    xy = np.array([[radius, 0.0]])
+    assert np.allclose(undistort(model, model.distort(xy, coefficients), coefficients), xy, rtol=0, atol=1e-12)
 
 
 def test_pixels_inside_the_picture() -> None:

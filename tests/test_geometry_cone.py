@@ -1,4 +1,4 @@
-"""Cone and rays: every root, tangent rays, the choice of a root.
+"""Cone and rays: every root, tangent rays, degenerate cones.
 
 What float64 can know of a root. The conic and the rays carry a relative error ``eta`` of a few units in the last place.
 Seen from the cone camera the point of a ray at depth r moves along the epipolar line; a relative change ``rho`` of r
@@ -24,8 +24,6 @@ from tubesight.geometry.cone import (
     Cone,
     Hits,
     epipolar_crossing,
-    nearest_depth,
-    ordered_depths,
     place_along,
 )
 from tubesight.geometry.conic import Conic, fit_line, fit_taubin
@@ -78,6 +76,16 @@ def test_cone_and_rays_return_tubes_of_every_small_bend(rig: Rig, theta: float, 
     s = sight(rig, Arc(theta, phi, LENGTH_MM))
     assume(s.crossing > USABLE_CROSSING)
     check_roots(s)
+
+
+@pytest.mark.parametrize("exponent", range(-12, -1))
+def test_a_camera_almost_in_the_plane_of_the_bend_makes_a_good_cone(exponent: int) -> None:
+    """Its curve is 10^exponent deep: ``L2^2 - 4 L1 L3`` would lose half of all digits, ``-l^T adj(C) l`` loses none."""
+    tube = Arc(np.pi / 2, 10.0**exponent, LENGTH_MM)
+    s = sight(rig_around(90.0, distance_mm=400.0, distortion=(0.0,) * 5), tube)
+    error = relative_error(Cone(fit_taubin(s.arc)).intersect(s.cone_from_ray, s.rays), s.depths_mm)
+    # Straightened by 1e-11 of its length below that; sweeps are 0.7 and more.
+    assert error.max() < (1e-11 if exponent <= -10 else 1e-13)
 
 
 @few
@@ -147,9 +155,11 @@ def test_tangent_rays_count(turn: float, z: float, depth: float, along: float, a
     cone_from_ray = Pose(ray.rotation, point - depth * ray.rotate(v))
     hits = unit_cone().intersect(cone_from_ray, v[None])
     assert hits.tangent.all() and hits.valid.all()
-    # Curvature 1 of the conic, and a rate of |v| sin / z: the formula for touching rays, with eta = 100 eps.
-    rate = np.linalg.norm(np.cross(cone_from_ray.rotate(v), point)) / (point @ point) * depth
-    assert np.abs(hits.depths_mm / depth - 1).max() < np.sqrt(2 * 2e-14) / rate * 10
+    # The formula for touching rays, with the conic's curvature 1. eta = 1.7e-14 was the largest of 30000 draws: depths
+    # of 500 mm carry ten times the rounding of points at 50 mm, and steep rays some times more.
+    moved = ray.rotate(v)
+    rate = np.linalg.norm(moved[:2] - point[:2] / z * moved[2]) / z * depth
+    assert np.abs(hits.depths_mm / depth - 1).max() < np.sqrt(2 * 5e-14) / rate
 
 
 def test_rays_beside_the_tangent_hit_twice_or_miss() -> None:
@@ -257,133 +267,6 @@ def test_an_ellipse_without_points_is_never_met() -> None:
     assert np.isnan(hits.depths_mm).all() and not hits.valid.any() and not hits.tangent.any()
 
 
-# Choosing roots -------------------------------------------------------------------------------------------------------
-
-TOLERANCE = 0.01  # of the image plane: a quarter of the width of a 12 mm tube at 0.3 m
-
-
-def places(s: Sight, hits: Hits) -> Array:
-    """Place (N, 2) of each root along the cone view's arc."""
-    points = s.cone_from_ray.apply(s.rays[:, None] * hits.depths_mm[..., None])
-    return place_along(s.arc, (points[..., :2] / points[..., 2:]).reshape(-1, 2))[0].reshape(-1, 2)
-
-
-def check_order(s: Sight) -> None:
-    """Every ray gets its own root, but for roots too near to each other to be told apart by evenness.
-
-    Exchanging a root for its twin at a distance d along the arc changes the steps before and after it by -d and +d.
-    That makes the chain more even only if the true steps change by more: d < 2 max |change of step|.
-    """
-    hits = Cone(fit_taubin(s.arc)).intersect(s.cone_from_ray, s.rays)
-    chosen = ordered_depths(hits, s.cone_from_ray, s.rays, s.arc, TOLERANCE)
-    assert np.isfinite(chosen).all()
-    wrong = np.abs(chosen / s.depths_mm - 1) > np.where(s.sweep >= CROSSES, CROSSING_RAYS, TOUCHING_RAYS)
-    at = np.linalg.norm(np.diff(s.arc, axis=0), axis=1)
-    twins = np.abs(np.diff(places(s, hits), axis=1))[:, 0]
-    assert (twins[wrong] < 2 * np.abs(np.diff(at)).max()).all()
-    # And what that can cost: no more than the way from one sample to the next.
-    assert np.abs(chosen - s.depths_mm).max() < LENGTH_MM / (len(s.rays) - 1)
-
-
-@few
-@given(rigs(), tubes, st.integers(8, 60))
-def test_order_along_the_arc_picks_the_right_root(rig: Rig, tube: Arc, count: int) -> None:
-    s = sight(rig, tube, count)
-    assume(s.crossing > USABLE_CROSSING)
-    check_order(s)
-
-
-@few
-@given(rigs(), st.floats(0, 2 * np.pi))
-def test_order_picks_the_right_root_at_90_degrees(rig: Rig, phi: float) -> None:
-    """Where a ray can have both roots on the observed arc."""
-    s = sight(rig, Arc(np.pi / 2, phi, LENGTH_MM))
-    assume(s.crossing > USABLE_CROSSING)
-    check_order(s)
-
-
-def sweep_of_orientations(theta_deg: float, angle_deg: float = 92.0) -> list[tuple[Sight, Hits]]:
-    """A tube bent towards 36 azimuths before the rig of the mock-up."""
-    rig = rig_around(angle_deg, distance_mm=310.0)
-    found = []
-    for phi in np.radians(np.arange(0, 360, 10)):
-        s = sight(rig, Arc(np.radians(theta_deg), float(phi), LENGTH_MM))
-        found.append((s, Cone(fit_taubin(s.arc)).intersect(s.cone_from_ray, s.rays)))
-    return found
-
-
-@pytest.mark.parametrize("theta_deg", [10.0, 30.0, 50.0, 70.0, 85.0])
-def test_equation_10_is_right_up_to_85_degrees(theta_deg: float) -> None:
-    for s, hits in sweep_of_orientations(theta_deg):
-        assert np.allclose(nearest_depth(hits, float(s.depths_mm[0])), s.depths_mm, rtol=TOUCHING_RAYS)
-
-
-# Cameras 92 degrees apart, and closer ones. Measured: 16 of 36 orientations and 7.9 mm, 6 of 36 and 46 mm.
-@pytest.mark.parametrize(("theta_deg", "angle_deg", "share", "most_mm"), [(90, 92, 0.4, 5.0), (80, 60, 0.15, 30.0)])
-def test_equation_10_is_wrong_on_strong_bends_and_order_is_not(
-    theta_deg: float, angle_deg: float, share: float, most_mm: float
-) -> None:
-    """It takes the depth nearest the base's, which a tube bent towards a camera leaves."""
-    worst = []
-    for s, hits in sweep_of_orientations(theta_deg, angle_deg):
-        worst.append(float(np.abs(nearest_depth(hits, float(s.depths_mm[0])) - s.depths_mm).max()))
-        chosen = ordered_depths(hits, s.cone_from_ray, s.rays, s.arc, TOLERANCE)
-        assert np.allclose(chosen, s.depths_mm, rtol=TOUCHING_RAYS)
-    assert np.mean(np.array(worst) > 0.1) > share
-    assert max(worst) > most_mm
-
-
-def test_equation_10_by_hand() -> None:
-    hits = Hits(
-        np.array([[90.0, 130], [60, 95], [np.nan, np.nan], [100, 101]]),
-        np.array([[True, True], [True, True], [False, False], [False, True]]),
-        np.zeros(4, bool),
-    )
-    chosen = nearest_depth(hits, 100.0)
-    assert np.array_equal(chosen, [90, 95, np.nan, 101], equal_nan=True)
-
-
-def test_order_by_hand() -> None:
-    """Two rays with both roots on the arc: the later one must not lie before the earlier one."""
-    arc = np.array([[0.0, 0], [1, 0]])
-    rays = np.array([[0.0, 0, 1], [0.0, 0, 1], [0, 0, 1]])
-    # The ray camera stands beside the cone camera and looks along its x axis: a depth r is seen at x = r / 10.
-    pose = Pose(np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), np.array([0.0, 0, 10]))
-    hits = Hits(np.array([[2.0, 8], [1, 3], [4, 9.5]]), np.ones((3, 2), bool), np.zeros(3, bool))
-    assert ordered_depths(hits, pose, rays, arc, 0.01).tolist() == [2, 3, 4]
-    # A root far off the arc is not chosen even when it is the only one, and an empty ray stays empty.
-    off = Hits(
-        np.array([[2.0, 8], [np.nan, 13], [np.nan, np.nan]]),
-        np.array([[1, 1], [0, 1], [0, 0]], bool),
-        np.zeros(3, bool),
-    )
-    chosen = ordered_depths(off, pose, rays, arc, 0.01)
-    assert np.isnan(chosen[1:]).all()
-    none = Hits(np.full((3, 2), np.nan), np.zeros((3, 2), bool), np.zeros(3, bool))
-    assert np.isnan(ordered_depths(none, pose, rays, arc, 0.01)).all()
-    one = Hits(np.array([[5.0, 30]]), np.ones((1, 2), bool), np.zeros(1, bool))
-    assert ordered_depths(one, pose, rays[:1], arc, 0.01).tolist() == [5]
-
-
-@few
-@given(rigs(), tubes, seeds)
-def test_lost_rays_do_not_disturb_their_neighbours(rig: Rig, tube: Arc, seed: int) -> None:
-    s = sight(rig, tube, 30)
-    assume(s.crossing > USABLE_CROSSING)
-    hits = Cone(fit_taubin(s.arc)).intersect(s.cone_from_ray, s.rays)
-    lost = np.random.default_rng(seed).random(30) < 0.3
-    depths = np.where(lost[:, None], np.nan, hits.depths_mm)
-    chosen = ordered_depths(
-        Hits(depths, hits.valid & ~lost[:, None], hits.tangent), s.cone_from_ray, s.rays, s.arc, TOLERANCE
-    )
-    assert np.array_equal(np.isnan(chosen), lost)
-    # Gaps make the steps uneven, by a few samples: so near the twins may be exchanged.
-    assert np.abs(chosen - s.depths_mm)[~lost].max(initial=0) < 5 * LENGTH_MM / 29
-
-
-# Places and crossings -------------------------------------------------------------------------------------------------
-
-
 @few
 @given(seeds, st.integers(2, 30), st.floats(-0.5, 1.5))
 def test_places_on_a_polyline(seed: int, count: int, share: float) -> None:
@@ -429,4 +312,3 @@ def test_the_view_that_is_crossed_makes_the_cone() -> None:
     s = sight(Rig({"left": ideal, "right": ideal}, found), Arc(1.0, np.pi / 2, LENGTH_MM))
     assert s.crossing > USABLE_CROSSING
     check_roots(s)
-    check_order(s)

@@ -274,6 +274,10 @@ def test_fewer_than_five_points_fix_no_conic(fit: ConicFit, count: int) -> None:
     assert np.abs(conic.sampson(xy)).max() < 0.02
 
 
+def test_two_places_along_the_axis_fix_no_parabola() -> None:
+    assert fit_parabola(np.array([[-1.0, 0], [-1, 0.1], [1, 0], [1, 0.1]])).kind == "line"
+
+
 def test_three_points_fix_a_parabola() -> None:
     xy = np.array([[0.0, 0], [0.1, 0.01], [0.2, 0.0]])
     assert np.abs(fit_parabola(xy).sampson(xy)).max() < 1e-15

@@ -115,6 +115,14 @@ def test_parallel_rays_meet_nowhere() -> None:
     assert np.allclose(found[1], ray[0] * 2000, rtol=1e-12)
 
 
+def test_rays_that_meet_behind_the_cameras_have_no_point() -> None:
+    aside = Pose(np.eye(3), np.array([-100.0, 0, 0]))
+    rig = Rig({"left": IDEAL, "right": IDEAL}, {"left": Pose.identity(), "right": aside})
+    # 100 mm apart and diverging: the lines meet at z = -250.
+    found = rig.triangulate({"left": np.array([[-0.2, 0, 1.0]]), "right": np.array([[0.2, 0, 1.0]])})
+    assert np.isnan(found).all()
+
+
 @few
 @given(rigs(), seeds)
 def test_rays_that_do_not_meet_give_a_number_or_nan(rig: Rig, seed: int) -> None:

@@ -69,7 +69,7 @@ def clamped_ellipse(points_mm: Array, weights: Array, tip_mm: Array) -> EllipseA
         If the best conic is not an ellipse.
     """
     direction = bending_plane(points_mm, weights**2)
-    scale = float(np.abs(points_mm).max())
+    scale = float(np.linalg.norm(points_mm, axis=1).max())
     rho, z = points_mm[:, :2] @ direction / scale, points_mm[:, 2] / scale
     design = np.stack([rho * rho, rho * z, z * z, rho], 1)
     weight = weights.copy()

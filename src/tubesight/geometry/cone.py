@@ -88,7 +88,7 @@ def _roots(conic: Array, a: Array, b: Array) -> tuple[Array, Mask]:
     The discriminant ``(a^T C b)^2 - (a^T C a)(b^T C b)`` is ``-l^T adj(C) l`` with the epipolar line ``l = a x b``: the
     conic of tangent lines, evaluated at the line. That form cancels only where the line really is a tangent.
     """
-    tangents = np.stack([np.cross(conic[1], conic[2]), np.cross(conic[2], conic[0]), np.cross(conic[0], conic[1])])
+    tangents = np.cross(conic[[1, 2, 0]], conic[[2, 0, 1]])
     line = np.cross(a, b)
     discriminant = -np.einsum("ni,ij,nj->n", line, tangents, line)
     size = np.einsum("ni,ij,nj->n", np.abs(line), np.abs(tangents), np.abs(line))
@@ -168,15 +168,16 @@ def _cheapest_chain(node: Array, place: Array, rays_apart: Indices) -> Indices:
         return np.array([int(node[0].argmin())])
     # step[k, i, j]: from root i of ray k to root j of ray k + 1; roots that are not valid have an infinite node cost.
     step = np.nan_to_num(place[1:, None, :] - place[:-1, :, None])
-    order = np.minimum(step, 0.0) ** 2
+    arrival = np.minimum(step, 0.0) ** 2 + node[1:, None, :]
     step = step / rays_apart[:, None, None]
-    total = node[0][:, None] + order[0] + node[1]
+    # change[k, h, i, j]: along root h of ray k, root i of the next, root j of the one after that.
+    change = _EVENNESS * (step[1:, None, :, :] - step[:-1, :, :, None]) ** 2
+    total = node[0][:, None] + arrival[0]
     before = np.zeros((len(node), 2, 2), dtype=np.intp)
     for k in range(2, len(node)):
-        change = step[k - 1] - step[k - 2][:, :, None]
-        cost = total[:, :, None] + _EVENNESS * change * change
+        cost = total[:, :, None] + change[k - 2]
         before[k] = cost.argmin(0)
-        total = cost.min(0) + order[k - 1] + node[k]
+        total = cost.min(0) + arrival[k - 1]
     chain = np.zeros(len(node), dtype=np.intp)
     chain[-2:] = np.unravel_index(int(total.argmin()), total.shape)
     for k in range(len(node) - 1, 1, -1):

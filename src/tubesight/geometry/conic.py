@@ -149,7 +149,7 @@ def fit_halir_flusser(xy: Array) -> Conic:
     x, y = _to_frame(xy, frame)
     quadratic = np.stack([x * x, x * y, y * y], 1)
     linear = np.stack([x, y, np.ones_like(x)], 1)
-    # Halir & Flusser eliminate the linear part by their scatter matrix (eq. 25); an orthogonal projection does not
+    # Halir & Flusser eliminate the linear part by their scatter matrix; an orthogonal projection does not
     # square the conditioning. `reduced` is what the linear part cannot explain: S1 - S2 S3^-1 S2^T = reduced^T reduced.
     basis, triangle = np.linalg.qr(linear)
     reduced = quadratic - basis @ (basis.T @ quadratic)

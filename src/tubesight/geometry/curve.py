@@ -151,6 +151,8 @@ class EllipseArc:
             object.__setattr__(self, name, readonly(getattr(self, name), (3,), name))
         if abs(float(self.a_mm @ self.b_mm)) > 1e-9 * float(np.linalg.norm(self.a_mm) * np.linalg.norm(self.b_mm)):
             raise ValueError("the semi-axes of an ellipse have to be orthogonal")
+        if not abs(self.end_rad - self.start_rad) > 0:
+            raise ValueError(f"the ends of an elliptic arc have to differ, got {self.start_rad} and {self.end_rad}")
 
     def _point(self, t: Array) -> Array:
         return np.asarray(self.centre_mm + np.cos(t)[..., None] * self.a_mm + np.sin(t)[..., None] * self.b_mm)

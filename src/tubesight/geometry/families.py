@@ -1,7 +1,8 @@
 """Families of centrelines by a few parameters: what the silhouette fit chooses from.
 
-Each family maps its parameters to nodes along the curve, in the frame of its start (origin, leaving along +z), for a
-batch of parameter vectors at once, so that a Jacobian by differences is one call.
+A curve is a chain of `INTERVALS` short arcs. A family says by how much each of them turns (a vector across the tube, in
+a frame without twist: Bishop 1975) and how long it is, with the derivatives of both by its parameters; the chain of the
+arcs and its derivatives are the same for all families.
 """
 
 from __future__ import annotations
@@ -12,37 +13,75 @@ from dataclasses import dataclass
 import numpy as np
 
 from tubesight.core import Array
+from tubesight.geometry.pose import Pose
 
-# Intervals between nodes: 2.5 mm on a 160 mm tube, on which a parabola is exact to 1e-5 mm.
-INTERVALS = 64
-# Nodes as shares of the length, the places and weights of a Gauss-Legendre quadrature between them, and the Legendre
-# polynomials of curvature with their integrals there, up to the highest order of any family.
+# Arcs of a curve: 3.3 mm on a 160 mm tube; it divides into the pieces of every family.
+INTERVALS = 48
+# Numbers of the base's own parameters after a family's: offset x, y in mm, tilts towards x, y in rad.
+BASE = 4
+# Places of the nodes as shares, and the Legendre polynomials of curvature there, with their integrals over each arc.
 _ENDS = np.linspace(0.0, 1.0, INTERVALS + 1)
-_NODES, _WEIGHTS = (values / (2 * INTERVALS) for values in np.polynomial.legendre.leggauss(4))
-_INNER = ((_ENDS[:-1] + 0.5 / INTERVALS)[:, None] + _NODES).ravel()
-_POLYNOMIALS = [np.polynomial.legendre.Legendre.basis(k, domain=[0, 1]) for k in range(6)]
-_BASIS_ENDS = np.stack([p(_ENDS) for p in _POLYNOMIALS])
-_BASIS_MIDDLE = np.stack([p((_ENDS[:-1] + _ENDS[1:]) / 2) for p in _POLYNOMIALS])
-_TURN_ENDS = np.stack([p.integ(lbnd=0)(_ENDS) for p in _POLYNOMIALS])
-_TURN_INNER = np.stack([p.integ(lbnd=0)(_INNER) for p in _POLYNOMIALS])
+_HALVES = np.linspace(0.0, 1.0, 2 * INTERVALS + 1)
+_POLYNOMIALS = [np.polynomial.legendre.Legendre.basis(k, domain=[0, 1]) for k in range(5)]
+LEGENDRE_ENDS = np.stack([p(_ENDS) for p in _POLYNOMIALS])
+LEGENDRE_TURNS = np.diff(np.stack([p.integ(lbnd=0)(_ENDS) for p in _POLYNOMIALS]), axis=1)
+# Least turn from which an ellipse is told, least curvature as a share of the largest, and ratio of axes of 4.4 to 1: what
+# the first guess of an ellipse is held to.
+_TURN_MIN, _LEAST_CURVATURE, _TANH_MAX = 0.03, 0.1, 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """Arcs of a curve and their derivatives by the P parameters of its family.
+
+    Attributes
+    ----------
+    turns
+        (M, 2) rad, towards x and y of the frame that is carried along.
+    lengths
+        (M,) mm.
+    curvature
+        (M + 1, 2) at the nodes, 1 / mm.
+    skew
+        (M, 2) rad by which each chord leans against its arc's since curvature changes along it.
+    d_turns
+        (M, 2, P)
+    d_lengths
+        (M, P) relative: of the logarithm.
+    """
+
+    turns: Array
+    lengths: Array
+    curvature: Array
+    skew: Array
+    d_turns: Array
+    d_lengths: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Nodes:
-    """Curves of a batch at their nodes.
+    """A curve at its nodes.
 
     Attributes
     ----------
     points, tangents, curvature
-        (B, M, 3) each, millimetres, unit, 1 / mm; the curvature is the vector dt/ds.
+        (M, 3) each, millimetres, unit, 1 / mm; the curvature is the vector dt/ds.
     s_mm
-        (B, M) arc length.
+        (M,) arc length.
+    d_points, d_turn
+        (M, 3, P) derivatives by the parameters of the family and of the base: of the points, and the rotation vectors
+        by which the frame there turns.
+    d_s
+        (M, P) of the arc length.
     """
 
     points: Array
     tangents: Array
     curvature: Array
     s_mm: Array
+    d_points: Array
+    d_turn: Array
+    d_s: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,175 +92,215 @@ class Family:
     ----------
     name
         As reported.
+    kind
+        Number of its chain (`CHAINS`).
     count
         Number of parameters; the last one is the length in mm, the others are angles in radians or pure numbers.
-    nodes
-        ``(B, count) -> Nodes``.
     soft
         Indices of parameters that the data may leave open (shares of pieces, ratios of axes), each with the deviation
         from 0 that is expected of it.
     """
 
     name: str
+    kind: int
     count: int
-    nodes: Callable[[Array], Nodes]
     soft: tuple[tuple[int, float], ...] = ()
 
 
-def circle_nodes(parameters: Array) -> Nodes:
-    """Circular arc: bend vector (rad, total turn times direction) and length. Straight is the zero vector."""
-    return _pieces(parameters[:, None, :2], parameters[:, 2:3])
+def ellipse_chain(p: Array) -> Chain:
+    """Plane arc of an ellipse ``(bx, by, ex, ey, length)``: bend vector in rad, and how it differs from a circle.
+
+    By its turning angle psi an ellipse has the radius of curvature ``(cosh q - sinh q cos(2 psi + 2 psi0))^(-3/2)`` up
+    to scale, q the logarithm of the ratio of its axes. With ``e = q (cos 2 psi0, sin 2 psi0)`` this is regular at the
+    circle e = 0, and the same for both names of the axes. Arcs turn evenly; their lengths differ.
+    """
+    bend, e, length = p[:2], p[2:4], p[4]
+    theta, q = float(np.hypot(*bend)), float(np.hypot(*e))
+    cosh = np.cosh(q)
+    sinhc = np.sinh(q) / q if q > 1e-3 else 1 + q * q / 6
+    slope = (cosh - sinhc) / (q * q) if q > 1e-3 else 1 / 3
+    c, s = np.cos(2 * theta * _HALVES), np.sin(2 * theta * _HALVES)
+    wave = e[0] * c - e[1] * s
+    d = cosh - sinhc * wave
+    radius = d**-1.5
+    d_d = [(sinhc - slope * wave) * e[0] - sinhc * c, (sinhc - slope * wave) * e[1] + sinhc * s]
+    d_theta = 2 * _HALVES * sinhc * (e[0] * s + e[1] * c)
+    along = bend / theta if theta > 0 else np.zeros(2)
+    relative = -1.5 * radius / d * np.stack([d_theta * along[0], d_theta * along[1], *d_d])
+    share, d_share = _simpson(radius), _simpson(relative)
+    lengths = length * share / share.sum()
+    d_lengths = np.zeros((INTERVALS, 5))
+    d_lengths[:, :4] = (d_share / share - d_share.sum(1, keepdims=True) / share.sum()).T
+    d_lengths[:, 4] = 1 / length
+    per_share = length * radius[::2] / share.sum() / INTERVALS
+    curvature = bend / (INTERVALS * INTERVALS * per_share[:, None])
+    d_turns = np.zeros((INTERVALS, 2, 5))
+    d_turns[:, 0, 0] = d_turns[:, 1, 1] = 1 / INTERVALS
+    turns = np.broadcast_to(bend / INTERVALS, (INTERVALS, 2))
+    return Chain(turns, lengths, curvature, _skew(curvature, lengths), d_turns, d_lengths)
 
 
-def pieces_nodes(parameters: Array) -> Nodes:
+def _simpson(values: Array) -> Array:
+    """Means (..., M) over each arc of values (..., 2 M + 1) at its ends and middle."""
+    return np.asarray((values[..., :-1:2] + 4 * values[..., 1::2] + values[..., 2::2]) / 6)
+
+
+def _skew(curvature: Array, lengths: Array) -> Array:
+    """Lean (M, 2) of the chords: a curvature that changes by c over a length h turns the chord by -c h / 12."""
+    return np.asarray(-np.diff(curvature, axis=0) * lengths[:, None] / 12)
+
+
+def pieces_chain(p: Array) -> Chain:
     """Circular arcs end to end with common tangents: bend vectors of each, lengths as shares, total length.
 
-    ``(bx1, by1, ..., bxn, byn, l1, ..., l(n-1), length)`` where l are logits of the shares against the last piece.
+    ``(bx1, by1, ..., bxn, byn, l1, ..., l(n-1), length)`` where l are logits of the shares against the last piece. The
+    circle is one piece; straight is its zero vector.
     """
-    count = parameters.shape[1] // 3
-    bends = parameters[:, : 2 * count].reshape(-1, count, 2)
-    weights = np.exp(np.concatenate([parameters[:, 2 * count : -1], np.zeros((len(parameters), 1))], 1))
-    lengths = weights / weights.sum(1, keepdims=True) * parameters[:, -1:]
-    return _pieces(bends, lengths)
-
-
-def _pieces(bends: Array, lengths: Array) -> Nodes:
-    """Arcs end to end: bends (B, n, 2) and lengths (B, n); nodes are shared evenly among the pieces."""
-    batch, count = lengths.shape
+    size = len(p)
+    count = size // 3
     per_piece = INTERVALS // count
-    share = np.linspace(0.0, 1.0, per_piece + 1)
-    origin, frame = np.zeros((batch, 3)), np.broadcast_to(np.eye(3), (batch, 3, 3))
-    travelled = np.zeros((batch, 1))
-    parts: list[tuple[Array, Array, Array, Array]] = []
-    for k in range(count):
-        length = lengths[:, k : k + 1]
-        bend = bends[:, k]
-        total = np.linalg.norm(bend, axis=1, keepdims=True)
-        angle = total * share
-        side = share**2 / 2 * np.sinc(angle / (2 * np.pi)) ** 2
-        along = share * np.sinc(angle / np.pi)
-        turn = share * np.sinc(angle / np.pi)
-        local = np.stack([bend[:, :1] * side, bend[:, 1:] * side, along], -1) * length[..., None]
-        tangent = np.stack([bend[:, :1] * turn, bend[:, 1:] * turn, np.cos(angle)], -1)
-        safe = np.maximum(total, 1e-300)
-        direction = bend / safe
-        inward = (
-            np.stack([direction[:, :1] * np.cos(angle), direction[:, 1:] * np.cos(angle), -np.sin(angle)], -1)
-            * (total / length)[..., None]
-        )
-        first = 0 if k == 0 else 1
-        parts.append(
-            (
-                (origin[:, None] + local @ frame.transpose(0, 2, 1))[:, first:],
-                (tangent @ frame.transpose(0, 2, 1))[:, first:],
-                (inward @ frame.transpose(0, 2, 1))[:, first:],
-                (travelled + length * share)[:, first:],
-            )
-        )
-        origin = origin + np.einsum("bij,bj->bi", frame, local[:, -1])
-        frame = frame @ _bend_rotation(bend)
-        travelled = travelled + length
-    return Nodes(*(np.concatenate(p, 1) for p in zip(*parts, strict=True)))
+    piece = np.arange(INTERVALS) // per_piece
+    bends = p[: 2 * count].reshape(count, 2)
+    weights = np.exp(np.append(p[2 * count : -1], 0.0))
+    share = weights / weights.sum()
+    d_turns = np.zeros((INTERVALS, 2, size))
+    rows = np.arange(INTERVALS)
+    d_turns[rows, 0, 2 * piece] = d_turns[rows, 1, 2 * piece + 1] = 1 / per_piece
+    d_lengths = np.zeros((INTERVALS, size))
+    for k in range(count - 1):
+        d_lengths[:, 2 * count + k] = (piece == k) - share[k]
+    d_lengths[:, -1] = 1 / p[-1]
+    at_node = np.append(0, piece)
+    curvature = bends[at_node] / (share[at_node] * p[-1])[:, None]
+    lengths = share[piece] * p[-1] / per_piece
+    return Chain(bends[piece] / per_piece, lengths, curvature, np.zeros((INTERVALS, 2)), d_turns, d_lengths)
 
 
-def _bend_rotation(bend: Array) -> Array:
-    """Rotations (B, 3, 3) that turn +z towards the bend vectors (B, 2) without twist."""
-    angle = np.linalg.norm(bend, axis=1)
-    a = np.sinc(angle / np.pi)
-    b = np.sinc(angle / (2 * np.pi)) ** 2 / 2
-    x, y = bend[:, 0], bend[:, 1]
+def polynomial_chain(p: Array) -> Chain:
+    """Plane curve of polynomial curvature: ``(azimuth, c0, ..., cn, length)``, Legendre, cn in rad of total turn."""
+    count = len(p) - 2
+    way = np.array([np.cos(p[0]), np.sin(p[0])])
+    basis = LEGENDRE_TURNS[:count]
+    turn = p[1:-1] @ basis
+    d_turns = np.zeros((INTERVALS, 2, len(p)))
+    d_turns[:, 0, 0], d_turns[:, 1, 0] = -way[1] * turn, way[0] * turn
+    d_turns[:, :, 1:-1] = basis.T[:, None, :] * way[:, None]
+    curvature = (p[1:-1] @ LEGENDRE_ENDS[:count])[:, None] * way / p[-1]
+    return _even(turn[:, None] * way, curvature, d_turns, p[-1])
+
+
+def spatial_chain(p: Array) -> Chain:
+    """Space curve whose two curvatures in a frame without twist are polynomials: ``(x0, y0, x1, y1, ..., length)``."""
+    count = len(p) // 2
+    coefficients = p[:-1].reshape(count, 2)
+    d_turns = np.zeros((INTERVALS, 2, len(p)))
+    d_turns[:, 0, 0:-1:2] = d_turns[:, 1, 1::2] = LEGENDRE_TURNS[:count].T
+    curvature = LEGENDRE_ENDS[:count].T @ coefficients / p[-1]
+    return _even(LEGENDRE_TURNS[:count].T @ coefficients, curvature, d_turns, p[-1])
+
+
+def _even(turns: Array, curvature: Array, d_turns: Array, length: float) -> Chain:
+    """Chain of arcs of equal length."""
+    lengths = np.full(INTERVALS, length / INTERVALS)
+    d_lengths = np.zeros((INTERVALS, d_turns.shape[2]))
+    d_lengths[:, -1] = 1 / length
+    return Chain(turns, lengths, curvature, _skew(curvature, lengths), d_turns, d_lengths)
+
+
+CHAINS: tuple[Callable[[Array], Chain], ...] = (pieces_chain, ellipse_chain, polynomial_chain, spatial_chain)
+
+FAMILIES: dict[str, Family] = {
+    "circle": Family("circle", 0, 3),
+    "ellipse": Family("ellipse", 1, 5, soft=((2, 1.0), (3, 1.0))),
+    "polynomial2": Family("polynomial2", 2, 5),
+    "polynomial3": Family("polynomial3", 2, 6),
+    "arcs2": Family("arcs2", 0, 6, soft=((4, 1.0),)),
+    "spatial2": Family("spatial2", 3, 7),
+    "arcs3": Family("arcs3", 0, 9, soft=((6, 1.0), (7, 1.0))),
+    "spatial4": Family("spatial4", 3, 11),
+}
+
+
+def bend_rotation(bend: Array) -> Array:
+    """Rotations (..., 3, 3) that turn +z towards the bend vectors (..., 2) without twist."""
+    x, y = bend[..., 0], bend[..., 1]
+    angle = np.hypot(x, y)
+    a, b = np.sinc(angle / np.pi), np.sinc(angle / (2 * np.pi)) ** 2 / 2
     rows = [
         np.stack([1 - b * x * x, -b * x * y, a * x], -1),
         np.stack([-b * x * y, 1 - b * y * y, a * y], -1),
         np.stack([-a * x, -a * y, np.cos(angle)], -1),
     ]
-    return np.stack(rows, 1)
+    return np.stack(rows, -2)
 
 
-def ellipse_nodes(parameters: Array) -> Nodes:
-    """Plane arc of an ellipse: ``(azimuth, theta, psi0, q, length)``.
+def nodes_of(family: Family, parameters: Array, start: Pose) -> Nodes:
+    """Nodes of a curve and their derivatives.
 
-    By its turning angle psi from 0 to theta the radius of curvature of an ellipse is proportional to
-    ``(1 + (exp(2 q) - 1) sin^2(psi + psi0))^(-3/2)``, q the logarithm of the ratio of its axes.
+    A parameter that turns the arcs at sigma by ``d beta`` turns all that follows: ``d theta = int F (-d beta_y,
+    d beta_x, 0)`` and ``d p = int d theta x t + t d log(length)``, F the frame carried along.
+
+    Parameters
+    ----------
+    parameters
+        Of the family, then of the base (`BASE`).
+    start
+        ``base_from_start``: where the curve starts before the base's own parameters.
     """
-    azimuth, theta, psi0, q, length = (parameters[:, k : k + 1] for k in range(5))
-
-    def radius(at: Array) -> Array:
-        return np.asarray((1 + np.expm1(2 * np.clip(q, -3.0, 3.0)) * np.sin(theta * at + psi0) ** 2) ** -1.5)
-
-    speed = radius(_INNER)
-    s = _cumulate(speed)
-    scale = length / s[:, -1:]
-    side, along = _cumulate(speed * np.sin(theta * _INNER)), _cumulate(speed * np.cos(theta * _INNER))
-    return _planar(azimuth, theta * _ENDS, side * scale, along * scale, theta / (scale * radius(_ENDS)), s * scale)
-
-
-def polynomial_nodes(parameters: Array) -> Nodes:
-    """Plane curve of polynomial curvature: ``(azimuth, c0, ..., cn, length)``, Legendre, cn in rad of total turn."""
-    azimuth, length = parameters[:, :1], parameters[:, -1:]
-    coefficients = parameters[:, 1:-1]
-    count = coefficients.shape[1]
-    angle = coefficients @ _TURN_INNER[:count]
-    side, along = _cumulate(np.sin(angle)), _cumulate(np.cos(angle))
-    turned, bend = coefficients @ _TURN_ENDS[:count], coefficients @ _BASIS_ENDS[:count]
-    return _planar(azimuth, turned, side * length, along * length, bend / length, _ENDS * length)
-
-
-def _cumulate(values: Array) -> Array:
-    """Integrals (B, M) from the start to each node of values (B, K) given at the quadrature's places."""
-    panels = values.reshape(len(values), INTERVALS, -1) @ _WEIGHTS
-    return np.concatenate([np.zeros((len(values), 1)), np.cumsum(panels, 1)], 1)
-
-
-def _planar(azimuth: Array, angle: Array, side: Array, along: Array, curvature: Array, s: Array) -> Nodes:
-    """Turn curves of the bending plane, (B, M) each, by their azimuths (B, 1)."""
-    c, d = np.cos(azimuth), np.sin(azimuth)
-    points = np.stack([c * side, d * side, along], -1)
-    tangents = np.stack([c * np.sin(angle), d * np.sin(angle), np.cos(angle)], -1)
-    inward = np.stack([c * np.cos(angle), d * np.cos(angle), -np.sin(angle)], -1) * curvature[..., None]
-    return Nodes(points, tangents, inward, np.broadcast_to(s, side.shape))
-
-
-def spatial_nodes(parameters: Array) -> Nodes:
-    """Space curve whose two curvatures in a frame without twist are polynomials: ``(x0, y0, x1, y1, ..., length)``.
-
-    Each of the intervals is an arc of the curvature at its middle (a rotation-minimising frame, Bishop 1975).
-    """
-    length = parameters[:, -1:]
-    coefficients = parameters[:, :-1].reshape(len(parameters), -1, 2)
-    count = coefficients.shape[1]
-    bends = np.einsum("bkc,km->bmc", coefficients, _BASIS_MIDDLE[:count]) / INTERVALS
-    batch = len(parameters)
-    steps = _bend_rotation(bends.reshape(-1, 2)).reshape(batch, INTERVALS, 3, 3)
-    angle = np.linalg.norm(bends, axis=-1)
+    count = family.count
+    chain = CHAINS[family.kind](parameters[:count])
+    x, y = chain.turns.T
+    angle = np.hypot(x, y)
     side = np.sinc(angle / (2 * np.pi)) ** 2 / 2
-    local = np.concatenate([bends * side[..., None], np.sinc(angle / np.pi)[..., None]], -1) / INTERVALS
-    frame = np.broadcast_to(np.eye(3), (batch, 3, 3))
-    frames = [frame]
-    for k in range(INTERVALS):
-        frame = frame @ steps[:, k]
-        frames.append(frame)
-    stack = np.stack(frames, 1)
-    hops = np.einsum("bmij,bmj->bmi", stack[:, :-1], local) * length[..., None]
-    points = np.concatenate([np.zeros((batch, 1, 3)), np.cumsum(hops, 1)], 1)
-    bend = np.einsum("bkc,km->bmc", coefficients, _BASIS_ENDS[:count])
-    curvature = np.einsum("bmij,bmj->bmi", stack[..., :2], bend) / length[..., None]
-    return Nodes(points, stack[..., 2], curvature, _ENDS * length)
+    local = np.stack([x * side + chain.skew[:, 0], y * side + chain.skew[:, 1], np.sinc(angle / np.pi)], -1)
+    frames = np.empty((INTERVALS + 1, 3, 3))
+    frames[0] = start.rotation @ bend_rotation(parameters[count + 2 : count + 4])
+    for k, step in enumerate(bend_rotation(chain.turns)):
+        frames[k + 1] = frames[k] @ step
+    chords = np.einsum("mij,mj->mi", frames[:-1], local) * chain.lengths[:, None]
+    origin = start.translation_mm + start.rotation[:, :2] @ parameters[count : count + 2]
+    points = origin + np.concatenate([np.zeros((1, 3)), np.cumsum(chords, 0)])
+    curvature = np.einsum("mij,mj->mi", frames[..., :2], chain.curvature)
+    size = count + BASE
+    d_turn, d_points = np.zeros((INTERVALS + 1, 3, size)), np.zeros((INTERVALS + 1, 3, size))
+    d_points[0, :, count], d_points[0, :, count + 1] = start.rotation[:, 0], start.rotation[:, 1]
+    d_turn[0, :, count + 2], d_turn[0, :, count + 3] = start.rotation[:, 1], -start.rotation[:, 0]
+    middle = (frames[:-1] + frames[1:]) / 2
+    across = np.stack([middle[:, :, 1], -middle[:, :, 0]], -1)
+    d_turn[1:, :, :count] = np.einsum("mik,mkp->mip", across, chain.d_turns)
+    d_turn = np.cumsum(d_turn, 0)
+    lever = np.cross((d_turn[:-1] + d_turn[1:]) / 2, chords[:, :, None], axis=1)
+    d_points[1:] = lever
+    d_points[1:, :, :count] += chords[:, :, None] * chain.d_lengths[:, None]
+    d_s = np.zeros((INTERVALS + 1, size))
+    d_s[1:, :count] = np.cumsum(chain.lengths[:, None] * chain.d_lengths, 0)
+    s = np.concatenate([[0.0], np.cumsum(chain.lengths)])
+    return Nodes(points, frames[..., 2], curvature, s, np.cumsum(d_points, 0), d_turn, d_s)
 
 
 def bends_of_pieces(coefficients: Array, count: int) -> Array:
-    """Bend vectors (count, 2) of equal pieces of a curve of `spatial_nodes` with coefficients (K, 2)."""
-    turned = np.stack([p.integ(lbnd=0)(np.linspace(0.0, 1.0, count + 1)) for p in _POLYNOMIALS[: len(coefficients)]])
-    return np.asarray(np.diff(turned, axis=1).T @ coefficients)
+    """Bend vectors (count, 2) of equal pieces of a curve of `spatial_chain` with coefficients (K, 2)."""
+    turns = LEGENDRE_TURNS[: len(coefficients)].T @ coefficients
+    return np.asarray(turns.reshape(count, -1, 2).sum(1))
 
 
-FAMILIES: dict[str, Family] = {
-    "circle": Family("circle", 3, circle_nodes),
-    "ellipse": Family("ellipse", 5, ellipse_nodes, soft=((3, 1.0),)),
-    "polynomial2": Family("polynomial2", 5, polynomial_nodes),
-    "polynomial3": Family("polynomial3", 6, polynomial_nodes),
-    "arcs2": Family("arcs2", 6, pieces_nodes, soft=((4, 1.0),)),
-    "spatial2": Family("spatial2", 7, spatial_nodes),
-    "arcs3": Family("arcs3", 9, pieces_nodes, soft=((6, 1.0), (7, 1.0))),
-    "spatial4": Family("spatial4", 11, spatial_nodes),
-}
+def ellipse_like(polynomial: Array) -> Array:
+    """Parameters (5,) of `ellipse_chain` with the curvature of a curve of `polynomial_chain` at start, middle and end.
+
+    By the turning angle psi, ``curvature^(2/3)`` of an ellipse is proportional to ``1 - u cos(2 psi) + v sin(2 psi)``
+    with ``(u, v) = tanh(q) (cos 2 psi0, sin 2 psi0)``. Curvatures that no ellipse has are brought into range.
+    """
+    at = [0, INTERVALS // 2, INTERVALS]
+    coefficients = polynomial[1:-1]
+    turned = np.append(0.0, np.cumsum(coefficients @ LEGENDRE_TURNS[: len(coefficients)]))
+    theta = float(turned[-1])
+    curvature = coefficients @ LEGENDRE_ENDS[: len(coefficients), at] * np.sign(theta)
+    e = np.zeros(2)
+    if abs(theta) > _TURN_MIN and curvature.max() > 0:
+        level = np.maximum(curvature, _LEAST_CURVATURE * curvature.max()) ** (2 / 3)
+        angle = 2 * np.abs(turned[at])
+        k, ku, kv = np.linalg.solve(np.stack([np.ones(3), -np.cos(angle), np.sin(angle)], 1), level)
+        size = float(np.hypot(ku, kv))
+        tanh = min(size / k, _TANH_MAX) if k > 0 else _TANH_MAX
+        e = np.arctanh(tanh) * np.array([ku, kv]) / max(size, 1e-300)
+    return np.array([theta * np.cos(polynomial[0]), theta * np.sin(polynomial[0]), *e, polynomial[-1]])
