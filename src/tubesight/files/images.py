@@ -37,8 +37,17 @@ def read_image(path: Path, size_px: tuple[int, int] | None = None) -> Image:
         If the file cannot be read, is cut off, declares more than 100 megapixels (told from the header, before
         decoding), or has another size than `size_px`.
     """
-    path = Path(path)
-    data = read_bytes(path, _MAX_BYTES)
+    return decode_image(read_bytes(Path(path), _MAX_BYTES), path, size_px)
+
+
+def decode_image(data: bytes, path: Path | str, size_px: tuple[int, int] | None = None) -> Image:
+    """Decode a picture from its bytes, with the checks of `read_image`.
+
+    Parameters
+    ----------
+    path
+        Where it comes from, for the messages.
+    """
     if not data:
         raise InputError(f"{path}: the picture is empty; take it again or leave it out")
     try:
@@ -63,7 +72,7 @@ def read_image(path: Path, size_px: tuple[int, int] | None = None) -> Image:
     return _eight_bit(np.asarray(image), path)
 
 
-def _eight_bit(image: NDArray[np.uint8 | np.uint16], path: Path) -> Image:
+def _eight_bit(image: NDArray[np.uint8 | np.uint16], path: Path | str) -> Image:
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: pixels of type {image.dtype} are not supported; save it with 8 or 16 bits")
     if image.ndim == 3:

@@ -82,11 +82,7 @@ def load_rig(path: Path) -> RigFile:
     file = load_yaml(path, _RigFile, RIG_BYTES)
     cameras, poses = {}, {}
     for name, entry in file.cameras.items():
-        if not _NAME.fullmatch(name) or name in _RESERVED:
-            raise InputError(
-                f"{path}: cameras: {name[:40]!r} cannot be a camera's name; "
-                f"use letters, digits, '_', '-', and none of {', '.join(_RESERVED)}"
-            )
+        refuse_camera_name(name, f"{path}: cameras")
         try:
             cameras[name] = _camera(entry)
             if entry.camera_from_base is not None:
@@ -98,6 +94,15 @@ def load_rig(path: Path) -> RigFile:
         raise InputError(f"{path}: base_frame: expected 'clamp' or a camera's name, got {base_frame[:40]!r}")
     covariance = _covariance(file.calibration or {}, cameras, path)
     return RigFile(Rig(cameras, poses, base_frame, covariance), file.calibration)
+
+
+def refuse_camera_name(name: str, where: str) -> None:
+    """Raise `InputError` for a name that no folder or column can have."""
+    if not _NAME.fullmatch(name) or name in _RESERVED:
+        raise InputError(
+            f"{where}: {name[:40]!r} cannot be a camera's name; "
+            f"use letters, digits, '_', '-', and none of {', '.join(_RESERVED)}"
+        )
 
 
 def _camera(entry: _CameraFile) -> Camera:
