@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,7 +16,9 @@ from tubesight.geometry.rig import Rig
 from tubesight.geometry.shape import Shape, shape_of
 from tubesight.methods import METHODS
 from tubesight.methods.agreement import reprojection_rms_px
-from tubesight.vision.see import clamp_start, see
+from tubesight.methods.mark import from_mark, marked_width_px
+from tubesight.vision.mark import starts_at
+from tubesight.vision.see import Start, clamp_start
 from tubesight.vision.view import View
 
 DEFAULT_METHOD = "silhouette"
@@ -78,7 +81,8 @@ class ShapeSensor:
     backgrounds
         By camera name, where there are any: the scene without the tube.
     base_px
-        By camera name, where the base is marked by hand: its pixel (2,).
+        By camera name, where the base is marked by hand: its pixel (2,). Marked in two cameras or more it takes the
+        place of the clamp; in one it only tells the two ends of the tube apart.
 
     Examples
     --------
@@ -94,6 +98,8 @@ class ShapeSensor:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if len(self.base_px) > 1:
+            object.__setattr__(self, "tube", replace(self.tube, clamped=False))
 
     def __call__(self, pair: FramePair) -> Reconstruction:
         """Photographs -> views -> curve -> shape; a failure on the way becomes the status."""
@@ -104,6 +110,7 @@ class ShapeSensor:
                 with _stage(ms, f"see {name}", name):
                     views[name] = self._see(name, image)
             with _stage(ms, "solve"):
+                views = from_mark(views, self.rig, self.base_px)
                 curve = METHODS[self.method].solve(views, self.rig, self.tube)
                 rms = reprojection_rms_px(curve, views, self.rig)
                 shape = shape_of(curve, 3 * self._tip_sd_mm(curve))
@@ -121,13 +128,31 @@ class ShapeSensor:
             raise Unmeasurable(
                 Status.BAD_IMAGE, detail=f"{image.shape[1]} x {image.shape[0]}, the rig has {width} x {height}"
             )
-        pose, background, base_px = self.rig.camera_from_base[name], self.backgrounds.get(name), self.base_px.get(name)
-        start = None
+        start, base_px = self.start_of(name)
+        see = partial(METHODS[self.method].see, name, image, self.backgrounds.get(name), camera, self.tube)
+        width_px = marked_width_px(name, self.rig, self.tube, self.base_px)
+        seen = []
+        if base_px is not None and width_px is not None:
+            for marked in starts_at(image, base_px, width_px):
+                with suppress(Unmeasurable):
+                    seen.append(see(marked, base_px))
+        # Of the two ways from a mark in the middle the longer one leads to the tip.
+        return max(seen, key=lambda view: len(view.edges_px), default=None) or see(start, base_px)
+
+    def start_of(self, name: str) -> tuple[Start | None, Array | None]:
+        """Where the tube starts in a camera's pictures: the projected clamp, or a pixel of the base, or neither.
+
+        Raises
+        ------
+        Unmeasurable
+            If the clamp is not in the picture.
+        """
+        camera, pose, base_px = self.rig.cameras[name], self.rig.camera_from_base[name], self.base_px.get(name)
         if self.tube.clamped and self.tube.diameter_mm is not None:
-            start = clamp_start(camera, pose, self.tube.diameter_mm)
-        elif self.rig.registered and base_px is None:
+            return clamp_start(camera, pose, self.tube.diameter_mm), base_px
+        if self.rig.registered and base_px is None:
             base_px = camera.project(pose.translation_mm)
-        return see(name, image, background, camera, self.tube, start, base_px)
+        return None, base_px
 
     def _tip_sd_mm(self, curve: Curve3D) -> float:
         tip = curve.at([curve.length_mm])[0]

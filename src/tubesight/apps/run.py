@@ -25,6 +25,7 @@ from tubesight.outputs.machine import machine
 from tubesight.outputs.overlay import draw_overlay
 from tubesight.outputs.plot3d import plots_installed
 from tubesight.outputs.rows import curves_of, shape_row, unreadable_row, write_results
+from tubesight.outputs.stages import write_stages
 from tubesight.sensor import DEFAULT_METHOD, Reconstruction, ShapeSensor
 from tubesight.sources.folder import FolderSource, read_backgrounds
 
@@ -54,6 +55,8 @@ class RunOptions:
         Pixel of the tube's base by camera, where it is not to be found from the rig.
     overlay
         Whether to draw what was found on the photographs.
+    stages
+        Whether to draw what each stage made of them.
     """
 
     folder: Path
@@ -64,6 +67,7 @@ class RunOptions:
     background_path: Path | None = None
     base_px: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     overlay: bool = False
+    stages: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +100,7 @@ class RunReport:
 def run_folder(options: RunOptions, progress: Progress | None = None) -> RunReport:
     """Reconstruct every pair of a data set and write the results.
 
-    Nothing is written before the last pair is done, but for the overlays.
+    Nothing is written before the last pair is done, but for the overlays and the stages.
 
     Parameters
     ----------
@@ -130,6 +134,8 @@ def run_folder(options: RunOptions, progress: Progress | None = None) -> RunRepo
                 curves.append((stem, result.curve))
             if options.overlay:
                 files.append(_write_overlay(options.out, pair, result, rig))
+            if options.stages:
+                files += write_stages(options.out, pair, result, sensor)
         if progress is not None:
             progress(index + 1, len(source))
     if len(problems) == len(source):
@@ -170,6 +176,9 @@ def _rig_and_tube(options: RunOptions) -> tuple[Rig, Tube, list[str]]:
         messages.append(
             f"the rig is not registered: coordinates are those of camera {rig.base_frame!r} (`tubesight register`)"
         )
+        tube = replace(tube, clamped=False)
+    if len(options.base_px) > 1 and tube.clamped:
+        messages.append("the base is marked by hand (--base): it takes the place of the clamp")
         tube = replace(tube, clamped=False)
     if rig.covariance is None:
         messages.append("the rig has no covariance: deviations cover the pictures alone, not the calibration")

@@ -2,43 +2,34 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+
+from tubesight.cli.places import places_of
 
 if TYPE_CHECKING:
     from tubesight.apps.run import RunOptions, RunReport
     from tubesight.files.tables import ShapeRow
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
-_BASE = re.compile(rf"(\w[\w .-]*):({_NUMBER}),({_NUMBER})")
 # A longer table is for the file, not for the screen.
 _ROWS_SHOWN = 40
 
 
-class RunCommand(TyperCommand):
-    """A command whose ``--base`` takes as many ``camera:X,Y`` as follow it."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Repeat ``--base`` before each place that follows one."""
-        expanded: list[str] = []
-        for arg in args:
-            follows = len(expanded) >= 2 and expanded[-2] == "--base"
-            if follows and _BASE.fullmatch(arg):
-                expanded.append("--base")
-            expanded.append(arg)
-        return super().parse_args(ctx, expanded)
-
-
 def command(
-    folder: Annotated[Path, typer.Argument(help="Data set: one subfolder of pictures per camera.")],
-    rig: Annotated[Path, typer.Option("--rig", help="The cameras: `rig.yaml` of calibrate or register.")],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the results; made where there is none.")],
+    folder: Annotated[
+        Path | None, typer.Argument(help="Data set: one subfolder of pictures per camera.", show_default=False)
+    ] = None,
+    rig: Annotated[Path | None, typer.Option("--rig", help="The cameras: `rig.yaml` of calibrate or register.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder for the results; made where there is none.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="Options in a file: `run.yaml`, or the `run.json` of another run.")
+    ] = None,
     tube: Annotated[Path | None, typer.Option("--tube", help="What is known of the tube: `tube.yaml`.")] = None,
     method: Annotated[str | None, typer.Option("--method", help="One of `tubesight methods`.")] = None,
     background: Annotated[
@@ -48,7 +39,12 @@ def command(
         list[str] | None,
         typer.Option("--base", metavar="CAMERA:X,Y ...", help="Pixel of the tube's base in each camera."),
     ] = None,
-    overlay: Annotated[bool, typer.Option("--overlay", help="Draw what was found on the photographs.")] = False,
+    overlay: Annotated[
+        bool | None, typer.Option("--overlay/--no-overlay", help="Draw what was found on the photographs.")
+    ] = None,
+    stages: Annotated[
+        bool | None, typer.Option("--stages/--no-stages", help="Draw what each stage made of the photographs.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone.")] = False,
 ) -> None:
     """Measure the shape in every pair of pictures.
@@ -57,27 +53,43 @@ def command(
     option: they are chosen from the pictures, and the command says which and why.
 
         tubesight run photos --rig rig.yaml --tube tube.yaml -o results --overlay
-    """
-    places = _places(base or [])
-    from tubesight.apps.run import RunOptions
-    from tubesight.sensor import DEFAULT_METHOD
 
-    name = method or DEFAULT_METHOD
-    _refuse_unknown(name)
-    report = _run(RunOptions(folder, rig, out, tube, name, background, places, overlay))
-    _print(report, out, json)
+        tubesight run --config run.yaml
+    """
+    places = places_of(base or [])
+    if method is not None:
+        _refuse_unknown(method)
+    named = {
+        "folder": folder,
+        "rig_path": rig,
+        "out": out,
+        "tube_path": tube,
+        "method": method,
+        "background_path": background,
+        "base_px": places or None,
+        "overlay": overlay,
+        "stages": stages,
+    }
+    options = _options(config, {name: value for name, value in named.items() if value is not None})
+    report = _run(options)
+    _print(report, options.out, json)
     raise typer.Exit(0 if report.complete else 1)
 
 
-def _places(base: Sequence[str]) -> dict[str, tuple[float, float]]:
-    places: dict[str, tuple[float, float]] = {}
-    for text in base:
-        for part in text.split():
-            match = _BASE.fullmatch(part)
-            if match is None:
-                raise typer.BadParameter(f"expected CAMERA:X,Y such as left:960,52, got {part!r}", param_hint="--base")
-            places[match[1]] = (float(match[2]), float(match[3]))
-    return places
+def _options(config: Path | None, named: dict[str, Any]) -> RunOptions:
+    """Options of the file, those of the command line over them; wrong usage where one that has to be is in neither."""
+    from tubesight.apps.run import RunOptions
+    from tubesight.apps.run_config import load_run_config
+
+    given = (load_run_config(config) if config is not None else {}) | named
+    for name, hint, kind in (
+        ("folder", "FOLDER", "argument"),
+        ("rig_path", "--rig", "option"),
+        ("out", "--out", "option"),
+    ):
+        if name not in given:
+            raise typer.BadParameter(f"Missing {kind}; give it here or as {name!r} in --config", param_hint=hint)
+    return RunOptions(**given)
 
 
 def _refuse_unknown(method: str) -> None:

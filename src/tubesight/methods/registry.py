@@ -1,4 +1,4 @@
-"""Methods by name: each turns views into a curve."""
+"""Methods by name: each is a way to see the tube in a picture and a way to turn the views into a curve."""
 
 from __future__ import annotations
 
@@ -6,16 +6,39 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from tubesight.core import Tube
+from tubesight.core import Array, Image, Tube
+from tubesight.geometry.camera import Camera
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
-from tubesight.methods import cone_ray, silhouette
+from tubesight.methods import cone_ray, dalvand, silhouette
+from tubesight.vision.reference import Reference
+from tubesight.vision.see import Start, see
 from tubesight.vision.view import View
+
+# (camera name, picture, background, camera, tube, start, base pixel) -> View; see `tubesight.vision.see.see`.
+Vision = Callable[[str, Image, Image | None, Camera, Tube, Start | None, Array | None], View]
+
+_PAPER = (
+    "Dalvand, Nahavandi, Howe 2016, Fast vision-based catheter 3D reconstruction, "
+    "Physics in Medicine and Biology 61, 5128"
+)
+# Row "proposed" of table 2 of the paper, with what each row says in words.
+_PAPER_TRAITS: Mapping[str, str] = MappingProxyType(
+    {
+        "cameras": "2",
+        "markers": "none",
+        "physical grid": "none",
+        "initial guess": "none",
+        "circular arcs": "not needed: any quadratic curve",
+        "tip": "yes",
+        "3-D": "yes",
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A registered method.
+    """A registered method: a vision strategy with a solver.
 
     Attributes
     ----------
@@ -25,6 +48,8 @@ class Method:
         A row of table 2 of Dalvand et al. 2016: what it needs and what it gives.
     solve
         ``(views, rig, tube) -> Curve3D``; raises `Unmeasurable` where the views do not give a curve.
+    see
+        The vision strategy: one picture to one `View`; raises `Unmeasurable` where the tube is not seen.
     """
 
     name: str
@@ -32,6 +57,7 @@ class Method:
     citation: str
     traits: Mapping[str, str]
     solve: Callable[[Mapping[str, View], Rig, Tube], Curve3D]
+    see: Vision = see
 
 
 METHODS: Mapping[str, Method] = MappingProxyType(
@@ -39,19 +65,8 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "cone_ray": Method(
             name="cone_ray",
             summary="closed form: the rays of one camera meet the cone over the conic of the other",
-            citation="Dalvand, Nahavandi, Howe 2016, Fast vision-based catheter 3D reconstruction, "
-            "Physics in Medicine and Biology 61, 5128",
-            traits=MappingProxyType(
-                {
-                    "cameras": "2",
-                    "markers": "none",
-                    "physical grid": "none",
-                    "initial guess": "none",
-                    "circular arcs": "not needed: any quadratic curve",
-                    "tip": "yes",
-                    "3-D": "yes",
-                }
-            ),
+            citation=_PAPER,
+            traits=_PAPER_TRAITS,
             solve=cone_ray.solve,
         ),
         "silhouette": Method(
@@ -70,6 +85,23 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                 }
             ),
             solve=silhouette.Silhouette(starter=cone_ray.solve),
+        ),
+        "reference": Method(
+            name="reference",
+            summary="the paper's image processing and solve literally, to compare with: a white tube with a ball that "
+            "hangs before coloured cloth",
+            citation=_PAPER,
+            traits=_PAPER_TRAITS,
+            solve=dalvand.solve,
+            see=Reference(whole=True),
+        ),
+        "reference_crop": Method(
+            name="reference_crop",
+            summary="`reference`, with only the crop undistorted",
+            citation=_PAPER,
+            traits=_PAPER_TRAITS,
+            solve=dalvand.solve,
+            see=Reference(whole=False),
         ),
     }
 )
