@@ -15,7 +15,7 @@ import cv2
 
 from tubesight.calibration.calibrate import ALONE, Calibration, calibrate
 from tubesight.calibration.errors import CalibrationError
-from tubesight.calibration.find import charuco_board
+from tubesight.calibration.find import check_board
 from tubesight.calibration.quality import Quality, Verdict, assess, judge
 from tubesight.calibration.record import to_mapping
 from tubesight.calibration.report import Label, coverage_picture, page
@@ -136,13 +136,12 @@ def calibrate_folder(
 
 
 def board_of(path: Path) -> Board:
-    """Read a board file and check its dictionary."""
+    """Read a board file and check that such a board can be searched."""
     board = load_board(Path(path))
-    if board.type == "charuco":
-        try:
-            charuco_board(board)
-        except ValueError as error:
-            refuse(Path(path), error)
+    try:
+        check_board(board)
+    except ValueError as error:
+        refuse(Path(path), error)
     return board
 
 
@@ -199,7 +198,7 @@ def lens_rows(outcome: Outcome) -> list[list[str]]:
     rows = [["camera", "parameter", "value", "standard deviation"]]
     for name, camera in outcome.rig.cameras.items():
         m = camera.matrix
-        values = {"fx": m[0, 0], "fy": m[1, 1], "cx": m[0, 2], "cy": m[1, 2]}
+        values = {"fx": m[0, 0], "fy": m[1, 1], "cx": m[0, 2], "cy": m[1, 2], "skew": m[0, 1]}
         values |= dict(zip(LENSES[camera.lens].coefficients, camera.distortion, strict=True))
         sd = dict(outcome.quality.cameras[name].sd) if outcome.quality else {}
         sd |= {"fx": sd["f"], "fy": sd["f"]} if "f" in sd else {}

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
 from tubesight.calibration.problem import Problem
-from tubesight.calibration.scene import BROWN, Free, Observation, Scene, rms
+from tubesight.calibration.scene import BROWN, Free, Observation, Prior, Scene, rms
 from tubesight.core import Array
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.rig import RigCovariance
@@ -41,15 +41,14 @@ class Adjusted:
         Measured minus predicted pixel (N, 2), one array an observation.
     sigma_px
         Robust standard deviation of a coordinate (for an observation of ``sd_px`` 1).
-    covariance
-        Of the rig's parameters, scaled by the residual variance; None where nothing of the rig was free.
     """
 
     scene: Scene
     observations: tuple[Observation, ...]
     residuals_px: tuple[Array, ...]
     sigma_px: float
-    covariance: RigCovariance | None
+    free: Free
+    priors: tuple[Prior, ...] = ()
 
     @property
     def rms_px(self) -> float:
@@ -57,33 +56,37 @@ class Adjusted:
         return rms(self.residuals_px)
 
 
-def adjust(scene: Scene, observations: Sequence[Observation], free: Free, *, robust: bool = True) -> Adjusted:
+def adjust(
+    scene: Scene,
+    observations: Sequence[Observation],
+    free: Free,
+    *,
+    priors: Sequence[Prior] = (),
+    robust: bool = True,
+) -> Adjusted:
     """Adjust everything that is free to all observations.
 
     Parameters
     ----------
     scene
         Start; every camera and view of the observations has a pose in it.
+    priors
+        On poses of free views.
     robust
         Soft L1 loss at three standard deviations of the residuals; else plain least squares.
 
     Returns
     -------
     Adjusted
-        The solution with its residuals and, for what is free of the rig, the covariance.
+        The solution with its residuals.
     """
-    problem = Problem(_constrained(scene, free), tuple(observations), free)
+    problem = Problem(_constrained(scene, free), tuple(observations), free, tuple(priors))
     # The scale of the loss follows the residuals: the first pass starts from a rough guess of it, the second is final.
     for _ in range(2 if robust else 1):
-        problem = Problem(problem.moved(_solve(problem, robust)), problem.observations, free)
+        problem = Problem(problem.moved(_solve(problem, robust)), problem.observations, free, problem.priors)
     residuals = problem.residuals(np.zeros(free.count))
-    sigma = _sigma(residuals)
     return Adjusted(
-        problem.scene,
-        problem.observations,
-        problem.split(residuals),
-        sigma,
-        _covariance(problem, residuals, sigma if robust else None) if free.rig_names else None,
+        problem.scene, problem.observations, problem.split(residuals), _sigma(residuals), free, problem.priors
     )
 
 
@@ -96,9 +99,7 @@ def _solve(problem: Problem, robust: bool) -> Array:
     """
     start = np.zeros(problem.free.count)
     residuals, jacobian = problem.residuals(start), problem.jacobian(start)
-    normal = (jacobian.T @ jacobian).toarray()
-    scale = 1 / np.sqrt(np.maximum(normal.diagonal(), 1e-300))
-    factor = cholesky(normal * scale * scale[:, None] + _RIDGE * np.eye(len(start)), lower=True)
+    factor, scale = _factor((jacobian.T @ jacobian).toarray())
     whiten = scale[:, None] * solve_triangular(factor, np.eye(len(start)), lower=True).T
     # In these units the first step is at most 1 long, which is the size of scipy's first trust region.
     whiten *= max(float(np.linalg.norm(residuals)), 1e-9)
@@ -132,13 +133,22 @@ def _sigma(residuals: Array) -> float:
     return max(1.4826 * float(np.median(np.abs(residuals))), _MIN_SIGMA_PX)
 
 
+def loss(adjusted: Adjusted, sigma_px: float) -> float:
+    """Soft L1 loss of all residuals, pixels squared: their sum of squares where they are within `sigma_px`."""
+    residuals = np.concatenate(
+        [r.ravel() / o.sd_px for o, r in zip(adjusted.observations, adjusted.residuals_px, strict=True)]
+    )
+    scale = _ROBUST_SIGMAS * sigma_px
+    return float((2 * scale**2 * (np.sqrt(1 + (residuals / scale) ** 2) - 1)).sum())
+
+
 def _weights(residuals: Array, sigma: float) -> Array:
     """Weights that soft L1 gives to the squares of residuals (its derivative)."""
     return np.asarray((1 + (residuals / (_ROBUST_SIGMAS * sigma)) ** 2) ** -0.5)
 
 
 def _constrained(scene: Scene, free: Free) -> Scene:
-    """Let the start obey the lens model: one focal length where ``f`` is free, no k3 where it is not."""
+    """Let the start obey the lens model: one focal length where ``f`` is free, no skew and k3 where they are not."""
     cameras = dict(scene.cameras)
     for name, names in free.lens.items():
         camera = cameras[name]
@@ -147,20 +157,34 @@ def _constrained(scene: Scene, free: Free) -> Scene:
             matrix[0, 0] = matrix[1, 1] = camera.focal_px
         if names and "k3" not in names:
             distortion[BROWN.index("k3")] = 0.0
+        if names and "skew" not in names:
+            matrix[0, 1] = 0.0
         cameras[name] = Camera(matrix, camera.size_px, distortion, camera.lens)
     return Scene(cameras, scene.camera_from_base, scene.base_from_view)
 
 
-def _covariance(problem: Problem, residuals: Array, sigma: float | None) -> RigCovariance:
-    """Invert the weighted normal equations, scaled by the residual variance; board poses are marginalised."""
-    jacobian = problem.jacobian(np.zeros(problem.free.count))
-    weight = np.ones_like(residuals) if sigma is None else _weights(residuals, sigma)
-    normal = (jacobian.T @ (jacobian * weight[:, None])).toarray()
-    variance = float((weight * residuals**2).sum() / max(weight.sum() - problem.free.count, 1.0))
+def covariance(adjusted: Adjusted) -> RigCovariance | None:
+    """Covariance of what was free of the rig, scaled by the residual variance; board poses are marginalised.
+
+    Corners count as independent; see `correlation` for those of real boards. None where nothing of the rig was free.
+    """
+    names = adjusted.free.rig_names
+    if not names:
+        return None
+    problem = Problem(adjusted.scene, adjusted.observations, adjusted.free, adjusted.priors)
+    start = np.zeros(problem.free.count)
+    residuals, jacobian = problem.residuals(start), problem.jacobian(start)
+    weights = _weights(residuals, adjusted.sigma_px)
+    variance = float((weights * residuals**2).sum() / max(weights.sum() - problem.free.count, 1.0))
+    factor, scale = _factor((jacobian.T @ (jacobian * weights[:, None])).toarray())
+    rows = solve_triangular(factor, np.diag(scale)[:, : len(names)], lower=True)
+    return RigCovariance(names, variance * rows.T @ rows)
+
+
+def _factor(normal: Array) -> tuple[Array, Array]:
+    """Cholesky factor L and scales s of normal equations N: ``L L' = diag(s) N diag(s)``."""
     scale = 1 / np.sqrt(np.maximum(normal.diagonal(), 1e-300))
-    inverse = np.linalg.pinv(normal * scale * scale[:, None], hermitian=True) * scale * scale[:, None]
-    count = len(problem.free.rig_names)
-    return RigCovariance(problem.free.rig_names, variance * inverse[:count, :count])
+    return cholesky(normal * scale * scale[:, None] + _RIDGE * np.eye(len(scale)), lower=True), scale
 
 
 def linearised(adjusted: Adjusted, lens: Mapping[str, tuple[str, ...]]) -> list[tuple[Array, Array, Array]]:
@@ -173,13 +197,13 @@ def linearised(adjusted: Adjusted, lens: Mapping[str, tuple[str, ...]]) -> list[
         residuals (2 N,).
     """
     problem = Problem(adjusted.scene, adjusted.observations, Free(lens, (), tuple(adjusted.scene.base_from_view)))
+    start = np.zeros(problem.free.count)
+    residuals, jacobian = problem.residuals(start), problem.jacobian(start)
+    root = np.sqrt(_weights(residuals, adjusted.sigma_px))
     rows = []
-    for o, residuals in zip(adjusted.observations, adjusted.residuals_px, strict=True):
-        r = residuals.ravel() / o.sd_px
-        root = np.sqrt(_weights(r, adjusted.sigma_px))
-        blocks = dict(problem.blocks(o, adjusted.scene, np.zeros(problem.free.count)))
-        by_lens, by_view = (
-            blocks[key].reshape(len(r), -1) / o.sd_px * root[:, None] for key in ((o.camera, "lens"), (o.view, "view"))
-        )
-        rows.append((by_lens, by_view, r * root))
+    for i in range(len(adjusted.observations)):
+        own = problem.rows(i)
+        part = jacobian[own].toarray() * root[own][:, None]
+        by_lens, by_view = (part[:, columns] for columns in problem.columns(i))
+        rows.append((by_lens, by_view, residuals[own] * root[own]))
     return rows

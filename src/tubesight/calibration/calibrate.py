@@ -13,11 +13,13 @@ from tubesight.calibration.correlation import inflated
 from tubesight.calibration.errors import CalibrationError
 from tubesight.calibration.find import ambiguity
 from tubesight.calibration.guided import guided_corners
+from tubesight.calibration.resection import resect
 from tubesight.calibration.scene import Free, Observation, Scene, rms
 from tubesight.calibration.search import LeftOut, Pictures, Progress, Search, gray_of, search
 from tubesight.calibration.selection import BASE, select_lens
 from tubesight.calibration.start import MIN_VIEWS, Found, start_lens, start_scene
 from tubesight.core import Board
+from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 
 # Focal lengths are separate until the data have been asked (see `selection`).
@@ -25,6 +27,8 @@ _OPEN = ("fx", "fy", *BASE[1:])
 # A picture is left out when its RMS exceeds this many times the median of all and this many pixels: measured corners
 # scatter by 0.01 to 0.2 px, a board that moved between the cameras' pictures or bent shows as more.
 _BAD_RATIO, _BAD_PX = 4.0, 0.5
+# Corners found lie within a pixel of where a first calibration projects them, unless the cameras disagree on the board.
+_DISAGREE_PX = 3.0
 # Corners of the right board fit a first lens to a pixel or two even on cheap wide-angle cameras, those of another board
 # by tens of pixels; relative to the picture's width.
 _WRONG_BOARD = 0.01
@@ -141,12 +145,23 @@ def _measure(pictures: Pictures, board: Board, scene: Scene, found: Found, progr
     keys = [(c, v) for c in found for v in pictures[c] if v in scene.base_from_view]
     result: dict[str, dict[str, Corners]] = {camera: {} for camera in found}
     for i, (camera, view) in enumerate(keys):
-        gray = gray_of(pictures[camera][view])
-        corners = guided_corners(gray, board, scene, camera, view, found[camera].get(view))
+        gray, seen = gray_of(pictures[camera][view]), found[camera].get(view)
+        corners = guided_corners(gray, board, _guide(scene, board, camera, view, seen), camera, view, seen)
         if corners is not None:
             result[camera][view] = corners
         progress("measuring corners", i + 1, len(keys))
     return result
+
+
+def _guide(scene: Scene, board: Board, camera: str, view: str, seen: Corners | None) -> Scene:
+    """Scene that projects the board to where the finder saw it, even if the other cameras say otherwise."""
+    if seen is None:
+        return scene
+    o = Observation(camera, view, board.corners_mm[seen.ids], seen.px)
+    off = np.linalg.norm(scene.project(o) - o.px, axis=1)
+    if np.median(off) < _DISAGREE_PX:
+        return scene
+    return Scene(scene.cameras, scene.camera_from_base, {view: _alone(scene, seen, board, camera)[0]})
 
 
 def _without_bad_views(
@@ -171,12 +186,12 @@ def _without_bad_views(
             return adjusted, kept
         scene = adjusted.scene
         sharing = [c for c in kept if view in kept[c]]
-        alone = {c: _alone_px(scene, kept[c][view], board, c, view) for c in sharing}
-        if len(sharing) > 1 and max(alone.values()) <= limit:
+        alone = {c: _alone(scene, kept[c][view], board, c) for c in sharing}
+        if len(sharing) > 1 and max(px for _, px in alone.values()) <= limit:
             views_of = dict(scene.base_from_view)
             for c in sharing:
                 kept[c][f"{view}{ALONE}{c}"] = kept[c].pop(view)
-                views_of[f"{view}{ALONE}{c}"] = views_of[view]
+                views_of[f"{view}{ALONE}{c}"] = alone[c][0]
                 reason = f"used for its lens only: the cameras place the board {errors[c, view]:.1f} px apart; it moved"
                 left_out.append(LeftOut(c, view, reason))
             scene = Scene(scene.cameras, scene.camera_from_base, views_of)
@@ -186,8 +201,12 @@ def _without_bad_views(
             left_out.append(LeftOut(camera, view.partition(ALONE)[0], reason))
 
 
-def _alone_px(scene: Scene, corners: Corners, board: Board, camera: str, view: str) -> float:
-    """RMS of one picture with its board placed from it alone."""
-    o = Observation(camera, view, board.corners_mm[corners.ids], corners.px)
-    only = Scene(scene.cameras, scene.camera_from_base, {view: scene.base_from_view[view]})
-    return adjust(only, [o], Free({}, (), (view,))).rms_px
+def _alone(scene: Scene, corners: Corners, board: Board, camera: str) -> tuple[Pose, float]:
+    """Pose ``base_from_board`` from one picture alone, and the RMS it leaves; infinite where there is no pose."""
+    o = Observation(camera, "", board.corners_mm[corners.ids], corners.px)
+    found = resect(scene.cameras, scene.camera_from_base, [[o]])
+    if found is None:
+        return Pose.identity(), float("inf")
+    only = Scene(scene.cameras, scene.camera_from_base, {"": found[0]})
+    solved = adjust(only, [o], Free({}, (), ("",)))
+    return solved.scene.base_from_view[""], solved.rms_px

@@ -85,9 +85,14 @@ def crossing(gray: Image, corner: Array, right: Array, down: Array, share: float
     Array
         (N,): (upper left + lower right - upper right - lower left) / 2, gray levels; NaN outside the picture.
     """
-    a, b = share * right, share * down
-    levels = [sample(gray, corner + s) for s in (-a - b, a - b, a + b, b - a)]
+    levels = _around(gray, corner, right, down, share)
     return np.asarray((levels[0] - levels[1] + levels[2] - levels[3]) / 2)
+
+
+def _around(gray: Image, corner: Array, right: Array, down: Array, share: float) -> Array:
+    """Gray levels (4, N) in the upper left, upper right, lower right and lower left square around corners."""
+    a, b = share * right, share * down
+    return np.stack([sample(gray, corner + s) for s in (-a - b, a - b, a + b, b - a)])
 
 
 def steps(grid: Array) -> tuple[Array, Array]:
@@ -130,6 +135,19 @@ def contrast(gray: Image, grid: Array, share: float) -> tuple[float, Array]:
     signed = answers * parity
     median = float(np.nanmedian(signed)) if np.isfinite(signed).any() else 0.0
     return median, signed / median if abs(median) > _MIN_CONTRAST / 2 else np.full_like(signed, np.nan)
+
+
+def purity(gray: Image, grid: Array, share: float) -> float:
+    """Share of the picture's contrast that the four squares around a grid's corners show (median), 0 to 1.
+
+    A grid laid diagonally over a board, as a finder makes it of a larger board, samples edges and shows half.
+    """
+    levels = _around(gray, grid, *steps(grid), share)
+    if not np.isfinite(levels).any():
+        return 0.0
+    black, white = np.nanpercentile(levels, [10, 90])
+    median, _ = contrast(gray, grid, share)
+    return abs(median) / max(float(white - black), _MIN_CONTRAST)
 
 
 def continues_beyond(gray: Image, board: Board, corners: Corners) -> bool:

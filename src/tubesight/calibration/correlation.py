@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from tubesight.calibration.bundle import Adjusted, linearised
+from tubesight.calibration.bundle import Adjusted, covariance, linearised
 from tubesight.core import Array
 from tubesight.geometry.rig import RigCovariance
 
 
-def views_apart(adjusted: Adjusted, lens: dict[str, tuple[str, ...]]) -> list[tuple[Array, Array]]:
+def _views_apart(adjusted: Adjusted, lens: dict[str, tuple[str, ...]]) -> list[tuple[Array, Array]]:
     """Residuals (2 N,) of each observation and their derivatives (2 N, P) by its lens, board poses projected out."""
     rows = []
     for by_lens, by_pose, residuals in linearised(adjusted, lens):
@@ -28,7 +28,7 @@ def design_effect(adjusted: Adjusted, lens: dict[str, tuple[str, ...]]) -> float
     """Ratio of the variance of lens parameters to that under independent corners; at least 1."""
     energy = dimensions = 0.0
     total = freedom = 0.0
-    for residuals, derivatives in views_apart(adjusted, lens):
+    for residuals, derivatives in _views_apart(adjusted, lens):
         basis, strengths, _ = np.linalg.svd(derivatives / np.linalg.norm(derivatives, axis=0), full_matrices=False)
         # Directions that rounding alone gives a length are none.
         basis = basis[:, strengths > 1e-9 * strengths[0]]
@@ -46,7 +46,5 @@ def design_effect(adjusted: Adjusted, lens: dict[str, tuple[str, ...]]) -> float
 
 def inflated(adjusted: Adjusted, lens: dict[str, tuple[str, ...]]) -> RigCovariance | None:
     """Return the covariance of an adjustment scaled by its design effect."""
-    covariance = adjusted.covariance
-    if covariance is None:
-        return None
-    return RigCovariance(covariance.names, covariance.matrix * design_effect(adjusted, lens))
+    plain = covariance(adjusted)
+    return None if plain is None else RigCovariance(plain.names, plain.matrix * design_effect(adjusted, lens))

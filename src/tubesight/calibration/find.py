@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import cv2
 import numpy as np
 
-from tubesight.calibration.corners import CROSSING, Corners, Ids, contrast, refine, sample_share, steps
+from tubesight.calibration.corners import CROSSING, Corners, Ids, contrast, purity, refine, sample_share, steps
 from tubesight.core import Array, Board, Image
 
 # Longest side of the picture searched first: a failing search at 1920 pixels takes 0.8 s, at 960 0.2 s, and of 32
@@ -21,25 +21,28 @@ _MIN_CHARUCO_CORNERS = 6
 _MIN_TRUE_CORNERS = 0.5
 
 
-def find_corners(gray: Image, board: Board, *, thorough: bool = True) -> Corners | None:
+def find_corners(gray: Image, board: Board, *, again: bool = False) -> Corners | None:
     """Find the board in a gray picture.
 
     Parameters
     ----------
-    thorough
-        Search chessboards at full size as well; a failing search then takes about a second instead of 0.3.
+    again
+        Try what was left out to save time at first: pictures of more than 960 pixels at full size. A failing search
+        takes about 0.4 s, the second one about a second more.
 
     Returns
     -------
     Corners or None
         In the board frame of the file formats; chessboards whole, ChArUco also in part.
     """
-    return _find_charuco(gray, board) if board.type == "charuco" else _find_chessboard(gray, board, thorough)
+    if board.type == "charuco":
+        return None if again else _find_charuco(gray, board)
+    return _find_chessboard(gray, board, again)
 
 
-def _find_chessboard(gray: Image, board: Board, thorough: bool) -> Corners | None:
+def _find_chessboard(gray: Image, board: Board, again: bool) -> Corners | None:
     columns, rows = board.inner_corners
-    for search, scale in _searches(gray, thorough):
+    for search, scale in _searches(gray, again):
         found, px = search(_scaled(gray, scale), (columns, rows))
         if not found:
             continue
@@ -61,12 +64,13 @@ def _scaled(gray: Image, scale: float) -> Image:
 _Search = Callable[[Image, tuple[int, int]], tuple[bool, Array]]
 
 
-def _searches(gray: Image, thorough: bool) -> Iterator[tuple[_Search, float]]:
-    """Finders and scales from cheap to dear."""
+def _searches(gray: Image, again: bool) -> Iterator[tuple[_Search, float]]:
+    """Finders and scales, cheap before dear."""
     scale = min(1.0, _FIRST_SIDE_PX / max(gray.shape))
-    yield _classic, scale
-    yield _sectors, scale
-    if thorough and scale < 1:
+    if not again:
+        yield _classic, scale
+        yield _sectors, scale
+    elif scale < 1:
         yield _classic, min(1.0, _LAST_SIDE_PX / max(gray.shape))
 
 
@@ -95,7 +99,8 @@ def _oriented(gray: Image, grid: Array, board: Board) -> Array | None:
         grid = grid[:, ::-1]
     median, answers = contrast(gray, grid, sample_share(board))
     true = answers > CROSSING
-    if min(true.mean(0).min(), true.mean(1).min()) < _MIN_TRUE_CORNERS:
+    pure = purity(gray, grid, sample_share(board)) > CROSSING
+    if not pure or min(true.mean(0).min(), true.mean(1).min()) < _MIN_TRUE_CORNERS:
         return None
     if median > 0:
         return grid
@@ -156,6 +161,14 @@ def _find_charuco(gray: Image, board: Board) -> Corners | None:
     corners = Corners(numbers[order], np.reshape(px, (-1, 2)).astype(np.float64)[order])
     spread = np.linalg.matrix_rank(board.corners_mm[corners.ids, :2] - board.corners_mm[corners.ids[0], :2])
     return corners if spread == 2 else None
+
+
+def check_board(board: Board) -> None:
+    """Raise `ValueError` for a board that cannot be searched."""
+    if board.type == "charuco":
+        charuco_board(board)
+    elif min(board.squares) < 4:
+        raise ValueError(f"squares: a chessboard needs at least 4 columns and 4 rows, got {list(board.squares)}")
 
 
 def charuco_board(board: Board) -> cv2.aruco.CharucoBoard:

@@ -29,14 +29,17 @@ _MIN_PIXELS = 20
 # Standard deviations in pixels of the blur tried: sharp to badly out of focus. The one that explains the board best is
 # taken; a wrong one costs precision, not bias.
 _BLURS_PX = (0.6, 1.0, 1.6, 2.5)
-# Share of the brightness's variance around a corner that the pattern has to explain: 0.9 to 0.99 on good pictures, 0.8
-# with blur misjudged by a factor of two, near 0 on a finger or beside the board.
-_MIN_EXPLAINED = 0.7
+# Share of the brightness's variance around a corner that the pattern may leave unexplained: it is 0.01 to 0.1 on good
+# pictures, 0.2 with blur misjudged by a factor of two, near 1 on a finger or beside the board.
+_MAX_UNEXPLAINED = 0.3
+# Half a finger shifts a corner by half a pixel and leaves several times more unexplained than the view's other corners
+# have; less than this share is left by noise.
+_UNEXPLAINED_RATIO, _UNEXPLAINED = 4.0, 0.06
 # Determinant of the scaled normal equations below which the surroundings do not fix the corner (a plain patch).
 _MIN_FIXED = 1e-6
 # A corner this far from its projection is another one, or hidden.
 _MAX_SHIFT_PX = 2.0
-# A board the finder missed in this camera counts where at least this share of its corners appears.
+# Share of corners that have to appear: of those the finder saw, or of the whole board where it saw none.
 _MIN_SHARE = 0.4
 
 
@@ -71,13 +74,15 @@ def guided_corners(
     model = _best_blur(box, pattern, squares, board)
     slopes = np.gradient(model, axis=1), np.gradient(model, axis=0)
     places = board.corners_mm[:, :2] / board.square_mm + (0 if board.type == "charuco" else 1)
-    ids, px = [], []
-    for i in np.flatnonzero(near):
-        shift = _shift(box, model, slopes, squares, projected[i] - low, places[i])
-        if shift is not None:
-            ids.append(i)
-            px.append(projected[i] + shift)
-    if len(ids) < (_MIN_SHARE * len(places) if found is None else 1):
+    fits = {i: _shift(box, model, slopes, squares, projected[i] - low, places[i]) for i in np.flatnonzero(near)}
+    good = {i: fit for i, fit in fits.items() if fit is not None}
+    limit = max(_UNEXPLAINED_RATIO * float(np.median([u for _, u in good.values()])), _UNEXPLAINED) if good else 0.0
+    ids = [i for i, (_, unexplained) in good.items() if unexplained < limit]
+    px = [projected[i] + good[i][0] for i in ids]
+    if found is not None and len(ids) < _MIN_SHARE * len(found.ids):
+        # The print does not look like the pattern (another marker size, inverted): the finder's corners stand.
+        return found
+    if found is None and len(ids) < _MIN_SHARE * len(places):
         return None
     return Corners(np.array(ids), np.array(px))
 
@@ -99,8 +104,10 @@ def _best_blur(box: Box, pattern: Array, squares: Array, board: Board) -> Array:
 
 def _shift(
     box: Box, model: Array, slopes: tuple[Array, Array], squares: Array, at: Array, place: Array
-) -> Array | None:
-    """Shift (2,) that lays the model over the picture around one corner; None where it does not fit.
+) -> tuple[Array, float] | None:
+    """Shift (2,) that lays the model over the picture around one corner, and the share of variance it leaves.
+
+    None where the model does not fit.
 
     Parameters
     ----------
@@ -137,4 +144,4 @@ def _shift(
         if np.abs(shift).max() > _MAX_SHIFT_PX:
             return None
     unexplained = float(((levels - columns @ fit) ** 2).sum() / max(((levels - levels.mean()) ** 2).sum(), 1e-9))
-    return shift if 1 - unexplained > _MIN_EXPLAINED else None
+    return (shift, unexplained) if unexplained < _MAX_UNEXPLAINED else None

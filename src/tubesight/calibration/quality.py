@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tubesight.calibration.bundle import Adjusted
-from tubesight.calibration.scene import POSE, Observation, rms, with_lens
+from tubesight.calibration.scene import POSE, Observation, rms
 from tubesight.core import Array
-from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 
 # Cells of the picture, columns and rows, that count as covered when a corner lies in them.
@@ -222,7 +221,7 @@ def _point_sd_mm(rig: Rig, adjusted: Adjusted) -> float:
         step = 0.1 * float(np.sqrt(max(variance, 1e-30)))
         ends = []
         for sign in (1, -1):
-            moved = moved_rig(rig, {name: sign * step})
+            moved = rig.perturbed(name, sign * step)
             ends.append(moved.triangulate({n: moved.cameras[n].unproject(px[n][good]) for n in rig.names}))
         slopes.append((ends[0] - ends[1]) / (2 * step))
     by_parameter = np.stack(slopes, -1)
@@ -244,21 +243,6 @@ def _without_rigid_motion(by_parameter: Array, points_mm: Array) -> Array:
     motions, _ = np.linalg.qr(np.concatenate([turns, shifts]).reshape(6, -1).T)
     flat = by_parameter.reshape(-1, by_parameter.shape[-1])
     return np.asarray((flat - motions @ (motions.T @ flat)).reshape(by_parameter.shape))
-
-
-def moved_rig(rig: Rig, change: Mapping[str, float]) -> Rig:
-    """Change parameters by their names in the covariance (``left.f``, ``right.rx`` ...)."""
-    cameras, poses = dict(rig.cameras), dict(rig.camera_from_base)
-    for full, step in change.items():
-        name, _, parameter = full.rpartition(".")
-        if parameter in POSE:
-            d = np.zeros(6)
-            d[POSE.index(parameter)] = step
-            turn = Pose.from_rotvec(d[:3], np.zeros(3)).rotation
-            poses[name] = Pose(turn @ poses[name].rotation, poses[name].translation_mm + d[3:])
-        else:
-            cameras[name] = with_lens(cameras[name], {parameter: step})
-    return Rig(cameras, poses, rig.base_frame)
 
 
 @dataclass(frozen=True, slots=True)

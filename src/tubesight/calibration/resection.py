@@ -16,8 +16,10 @@ from tubesight.geometry.rig import Rig
 # Errors count up to this many pixels: a pose that puts one board right and another far off must not lose to one that
 # puts both moderately wrong.
 _CAP_PX = 50.0
-# Ratio of the extents of a point set below which it counts as a plane, or a line.
+# Ratio of the extents of a point set below which it counts as a line.
 FLAT = 1e-3
+# The same for a plane: a board's corners are one up to rounding, and the solver for planes insists on it.
+_PLANE = 1e-6
 
 
 def extents(points_mm: Array) -> Array:
@@ -40,7 +42,7 @@ def camera_poses(camera: Camera, points_mm: Array, px: Array) -> list[Pose]:
     size = extents(points)
     if size[1] <= FLAT * size[0]:
         return []
-    if size[2] <= FLAT * size[0]:
+    if size[2] <= _PLANE * size[0]:
         method = cv2.SOLVEPNP_IPPE
     elif len(points) >= 6:
         method = cv2.SOLVEPNP_SQPNP

@@ -16,6 +16,15 @@ from tubesight.geometry.pose import Pose
 POSE = ("rx", "ry", "rz", "tx", "ty", "tz")
 # Coefficients of the brown lens that a calibration can free, in the lens's order.
 BROWN = LENSES["brown"].coefficients
+# Elements of the camera matrix that a parameter moves.
+_PLACES = {
+    "f": ((0, 0), (1, 1)),
+    "fx": ((0, 0),),
+    "fy": ((1, 1),),
+    "cx": ((0, 2),),
+    "cy": ((1, 2),),
+    "skew": ((0, 1),),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +83,24 @@ class Scene:
         return self.cameras[observation.camera].project(pose.apply(observation.points_mm))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """What is known of a view's pose before any picture: it is near the identity.
+
+    Attributes
+    ----------
+    pivot_mm
+        (3,): point of the view's frame about which rotation and translation are independent.
+    sd_rad, sd_mm
+        Standard deviations of each component, divided by that of a pixel coordinate.
+    """
+
+    view: str
+    pivot_mm: Array
+    sd_rad: float
+    sd_mm: float
+
+
 @dataclass(frozen=True, slots=True)
 class Free:
     """What may move: names of lens parameters by camera, cameras whose pose moves, views whose pose moves."""
@@ -103,12 +130,14 @@ def rms(residuals_px: Sequence[Array]) -> float:
 
 
 def with_lens(camera: Camera, change: Mapping[str, float]) -> Camera:
-    """Add changes to lens parameters (``f`` moves both focal lengths)."""
+    """Add changes to lens parameters (``f`` moves both focal lengths); focal lengths stay positive."""
     matrix, distortion = camera.matrix.copy(), camera.distortion.copy()
-    places = {"fx": [(0, 0)], "fy": [(1, 1)], "f": [(0, 0), (1, 1)], "cx": [(0, 2)], "cy": [(1, 2)]}
     for name, step in change.items():
-        for place in places.get(name, ()):
-            matrix[place] = max(matrix[place] + step, 1e-6)
+        for place in _PLACES.get(name, ()):
+            matrix[place] += step
         if name in BROWN:
             distortion[BROWN.index(name)] += step
+    for i in (0, 1):
+        # A step of the solver may overshoot; it is then taken back.
+        matrix[i, i] = max(matrix[i, i], 1.0)
     return Camera(matrix, camera.size_px, distortion, camera.lens)

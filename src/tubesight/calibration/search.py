@@ -16,10 +16,11 @@ from tubesight.calibration.errors import CalibrationError
 from tubesight.calibration.find import find_corners
 from tubesight.core import Board, Image
 
-# Pictures looked at, over all cameras, before a folder without any board is refused: a failing search takes 0.4 s.
-_SAMPLE = 6
+# Chessboard pictures looked at, over all cameras, in each of at most two rounds before a folder without boards is
+# refused: a failing search takes 0.4 s. And the number of boards that lets the search go on.
+_SAMPLE, _ENOUGH = 6, 2
 # Pictures searched again at full size (1 s each); boards missed there are found from the other cameras' poses.
-_MAX_THOROUGH = 8
+_MAX_AGAIN = 8
 # Threads: OpenCV releases the interpreter lock; more than four only wait for memory.
 _MAX_THREADS = 4
 
@@ -89,11 +90,11 @@ def search(pictures: Pictures, board: Board, progress: Progress) -> Search:
     sizes: dict[str, tuple[str, tuple[int, int]]] = {}
     beyond: list[tuple[str, str]] = []
 
-    def look(keys: Iterable[tuple[str, str]], thorough: bool) -> None:
+    def look(keys: Iterable[tuple[str, str]], again: bool) -> None:
         wanted = list(keys)
-        label = "searching boards at full size" if thorough else "searching boards"
+        label = "searching boards at full size" if again else "searching boards"
         looked = in_threads(
-            lambda key: _look(gray_of(pictures[key[0]][key[1]]), board, thorough),
+            lambda key: _look(gray_of(pictures[key[0]][key[1]]), board, again),
             wanted,
             lambda n: progress(label, n, len(wanted)),
         )
@@ -103,19 +104,37 @@ def search(pictures: Pictures, board: Board, progress: Progress) -> Search:
             if continues:
                 beyond.append(key)
 
-    sample = _sample(pictures)
-    look(sample, thorough=False)
-    if not any(found[key] for key in sample) and not beyond:
-        look(dict.fromkeys((sample[0], sample[-1])), thorough=True)
-    if not any(found.values()):
-        _refuse(board, len(sample), beyond)
+    def shown() -> int:
+        return sum(corners is not None for corners in found.values())
+
     keys = [(camera, view) for camera in pictures for view in pictures[camera]]
-    look([key for key in keys if key not in found], thorough=False)
-    missed = [key for key in keys if found[key] is None and key not in beyond]
-    look(missed[:_MAX_THOROUGH], thorough=True)
-    if len(beyond) > sum(corners is not None for corners in found.values()):
-        _refuse(board, len(keys), beyond)
+    # A few pictures are looked at one and all; ChArUco boards are searched in 15 ms, found or not.
+    sampled = board.type == "chessboard" and len(keys) > _SAMPLE
+    for number, sample in enumerate(_samples(pictures) if sampled else []):
+        # The second round asks whether a single board is more than a false grid on something else.
+        if number == 0 or shown() == 1:
+            look(sample, again=False)
+    _look_again_where_nothing_was_found(found, beyond, look)
+    if sampled and shown() < _ENOUGH:
+        _refuse(board, len(found), shown(), beyond)
+    look([key for key in keys if key not in found], again=False)
+    _look_again_where_nothing_was_found(found, beyond, look)
+    if shown() > 0:
+        look([key for key in keys if found[key] is None and key not in beyond][:_MAX_AGAIN], again=True)
+    if len(beyond) > shown() or shown() == 0:
+        _refuse(board, len(keys), shown(), beyond)
     return _gather(pictures, found, sizes, beyond)
+
+
+def _look_again_where_nothing_was_found(
+    found: Mapping[tuple[str, str], Corners | None],
+    beyond: Sequence[tuple[str, str]],
+    look: Callable[[Iterable[tuple[str, str]], bool], None],
+) -> None:
+    """Search two pictures at full size before saying that none shows the board."""
+    keys = list(found)
+    if keys and not beyond and not any(corners is not None for corners in found.values()):
+        look(dict.fromkeys((keys[0], keys[-1])), True)
 
 
 def _gather(
@@ -137,19 +156,20 @@ def _gather(
     return Search(corners, {camera: sizes[camera][1] for camera in pictures}, tuple(left_out))
 
 
-def _sample(pictures: Pictures) -> list[tuple[str, str]]:
-    """Pictures spread over the views, a few per camera, camera by camera in turn."""
+def _samples(pictures: Pictures) -> list[list[tuple[str, str]]]:
+    """Two rounds of pictures spread over the views, a few per camera, camera by camera in turn."""
     count = max(1, _SAMPLE // len(pictures))
-    keys = []
+    rounds: list[list[tuple[str, str]]] = [[], []]
     for camera, views in pictures.items():
         names = list(views)
-        places = np.unique(np.linspace(0, len(names) - 1, min(count, len(names))).round().astype(int))
-        keys += [(camera, names[i]) for i in places]
-    return keys
+        places = np.unique(np.linspace(0, len(names) - 1, min(2 * count, len(names))).round().astype(int))
+        for start, keys in enumerate(rounds):
+            keys += [(camera, names[i]) for i in places[start::2]]
+    return [keys for keys in rounds if keys]
 
 
-def _look(gray: Image, board: Board, thorough: bool) -> tuple[tuple[int, int], Corners | None, bool]:
-    corners = find_corners(gray, board, thorough=thorough)
+def _look(gray: Image, board: Board, again: bool) -> tuple[tuple[int, int], Corners | None, bool]:
+    corners = find_corners(gray, board, again=again)
     height, width = gray.shape
     return (width, height), corners, corners is not None and continues_beyond(gray, board, corners)
 
@@ -164,16 +184,16 @@ def _check_size(key: tuple[str, str], size: tuple[int, int], sizes: dict[str, tu
         )
 
 
-def _refuse(board: Board, looked: int, beyond: Sequence[tuple[str, str]]) -> None:
+def _refuse(board: Board, looked: int, shown: int, beyond: Sequence[tuple[str, str]]) -> None:
     columns, rows = board.squares
-    what = f"a {board.type} board of {columns} x {rows} squares"
+    what = f"a {'chessboard' if board.type == 'chessboard' else 'ChArUco board'} of {columns} x {rows} squares"
     if beyond:
         raise CalibrationError(
             f"the pictures show a larger pattern than {what} ({beyond[0][0]}, picture {beyond[0][1]}); "
             "count all squares, outer ones included, and mend `squares` in the board file"
         )
-    more = " and its dictionary and marker size" if board.type == "charuco" else ""
+    more = ", its dictionary and marker size, and that the print is not OpenCV's legacy pattern"
     raise CalibrationError(
-        f"none of the {looked} pictures looked at shows {what}; "
-        f"check `squares` in the board file{more} (outer squares count), and that the whole board is sharp and lit"
+        f"{shown or 'none'} of the {looked} pictures looked at shows {what}; check `squares` in the board file "
+        f"(outer squares count){more if board.type == 'charuco' else ''}, and that the whole board is sharp and lit"
     )
