@@ -10,6 +10,8 @@ import pytest
 import typer
 
 from small_set import write_small_set
+from tubesight.apps.run_config import load_run_config
+from tubesight.apps.scene_file import load_scene
 from tubesight.cli.main import app
 from tubesight.core import Status
 from tubesight.files.board import load_board
@@ -23,6 +25,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 IDS = [str(page.relative_to(ROOT)) for page in PAGES]
 _FENCE = re.compile(r"^([ \t]*)```(\w+)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
+# Options of the program itself, which typer adds.
+COMPLETION = ("--install-completion", "--show-completion")
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 
 
@@ -58,7 +62,7 @@ def test_commands_in_blocks_are_right_usage(page: Path) -> None:
     for block in blocks(page, "bash"):
         for line in block.replace("\\\n", " ").splitlines():
             words = shlex.split(line, comments=True)
-            if words[:1] != ["tubesight"]:
+            if words[:1] != ["tubesight"] or words[1] in COMPLETION:
                 continue
             assert words[1] in COMMANDS, line
             COMMANDS[words[1]].make_context(words[1], words[2:])
@@ -69,7 +73,7 @@ def test_commands_in_the_text_exist(page: Path) -> None:
     text = _FENCE.sub("", page.read_text(encoding="utf-8"))
     for quoted in re.findall(r"`tubesight ([^`]+)`", text):
         words = quoted.split()
-        if words[0] in ("--help", "--version", "COMMAND"):
+        if words[0] in ("--help", "--version", "COMMAND", *COMPLETION):
             continue
         assert words[0] in COMMANDS, quoted
         known = {option for parameter in COMMANDS[words[0]].params for option in parameter.opts}
@@ -107,7 +111,11 @@ def test_example_files_load(page: Path, tmp_path: Path) -> None:
     path = tmp_path / "example.yaml"
     for example in blocks(page, "yaml"):
         path.write_text(example, encoding="utf-8")
-        if "cameras:" in example:
+        if "shapes:" in example:
+            load_scene(path)
+        elif "rig_path:" in example:
+            load_run_config(path)
+        elif "cameras:" in example:
             load_rig(path)
         elif "views:" in example:
             load_registration(path)

@@ -8,7 +8,25 @@ from typing import Annotated
 import typer
 
 from tubesight import __version__
-from tubesight.cli import bench, calibrate, demo, evaluate, methods, register, run, simulate
+from tubesight.cli import (
+    bench,
+    board,
+    calibrate,
+    capture,
+    check,
+    demo,
+    devices,
+    doctor,
+    evaluate,
+    import_,
+    init,
+    methods,
+    register,
+    rig_export,
+    run,
+    simulate,
+)
+from tubesight.cli.places import BaseCommand
 from tubesight.core.errors import InputError
 
 app = typer.Typer(
@@ -39,13 +57,21 @@ def _common(
 
 # By the order in which one meets them.
 app.command("demo")(demo.command)
+app.command("init")(init.command)
+app.command("board")(board.command)
+app.command("capture")(capture.command)
 app.command("calibrate")(calibrate.command)
-app.command("register")(register.command)
-app.command("run", cls=run.RunCommand)(run.command)
+app.command("register", cls=BaseCommand)(register.command)
+app.command("import")(import_.command)
+app.command("rig-export")(rig_export.command)
+app.command("check")(check.command)
+app.command("run", cls=BaseCommand)(run.command)
 app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
 app.command("simulate")(simulate.command)
 app.command("bench")(bench.command)
+app.command("devices")(devices.command)
+app.command("doctor")(doctor.command)
 
 
 def main(args: list[str] | None = None) -> None:
