@@ -7,7 +7,7 @@ from calibration_scenes import CHESSBOARD, SIZE, Eye, Stage, eye, stage, volume_
 from tubesight.calibration.bundle import Adjusted, adjust, covariance
 from tubesight.calibration.correlation import design_effect
 from tubesight.calibration.problem import Problem
-from tubesight.calibration.scene import Free, Observation, Scene, with_lens
+from tubesight.calibration.scene import Free, Observation, Prior, Scene, with_lens
 from tubesight.calibration.selection import BASE, select_lens
 from tubesight.core import Array, Board
 from tubesight.geometry.camera import Camera
@@ -56,11 +56,14 @@ def test_jacobian_agrees_with_differences(names: tuple[str, ...]) -> None:
     scene = shaken(truth_scene(), rng)
     observations = observed(TRUE.rig, TRUE.poses, CHESSBOARD, 0.1, rng)
     free = Free(dict.fromkeys(TRUE.rig.names, names), ("left", "right"), tuple(TRUE.poses))
-    problem = Problem(scene, tuple(observations), free)
+    # A prior holds a view near the identity; far from it, its Jacobian is tested with a rotation of 2.5 rad.
+    priors = (Prior(next(iter(TRUE.poses)), np.array([10.0, -5, 30]), 0.1, 2.0),)
+    problem = Problem(scene, tuple(observations), free, priors)
     x = rng.normal(0, 1e-3, free.count)
     analytic = problem.jacobian(x).toarray()
     step = 1e-6
-    for j in rng.choice(free.count, 40, replace=False):
+    first = len(free.rig_names)
+    for j in [*range(first, first + 6), *rng.choice(free.count, 40, replace=False)]:
         d = np.zeros(free.count)
         d[j] = step
         numeric = (problem.residuals(x + d) - problem.residuals(x - d)) / (2 * step)

@@ -198,3 +198,16 @@ def test_pictures_without_a_board_are_refused_early() -> None:
     with pytest.raises(InputError, match="none of the 6 pictures"):
         calibrate(pictures, CHESSBOARD)
     assert len(looked) <= 8
+
+
+def test_one_board_pose_many_times_is_no_good_calibration() -> None:
+    shown = stage(CHESSBOARD, [-30, 30], [eye(), eye()], 1, seed=14)
+    pictures = {c: {f"{i}": shown.picture(c, "000") for i in range(12)} for c in shown.rig.names}
+    made = calibrate({c: {v: (lambda p=p: p) for v, p in own.items()} for c, own in pictures.items()}, CHESSBOARD)
+    quality = assess(made.rig, made.adjusted)
+    verdict = judge(quality, False)
+    assert quality.rms_px < 0.1
+    assert verdict.level != "good"
+    assert any("focal length open" in r for r in verdict.remarks)
+    # One tilted plane fixes the focal length to some 10 px; that 12 equal pictures are one has to show.
+    assert quality.cameras["left"].sd["f"] > 3

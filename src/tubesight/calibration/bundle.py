@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.optimize import least_squares
 from scipy.sparse.linalg import LinearOperator, aslinearoperator
 
@@ -25,7 +25,8 @@ from tubesight.geometry.rig import RigCovariance
 _ROBUST_SIGMAS = 3.0
 # A mean residual below this is rounding: the loss must not turn linear within it (synthetic, noise-free corners).
 _MIN_SIGMA_PX = 1e-3
-# Relative to the diagonal of the normal equations: lets the whitening pass where a parameter is not fixed by the data.
+# Relative to the diagonal of the normal equations: lets the whitening pass where a parameter is not fixed by the data;
+# more is tried where rounding makes it necessary.
 _RIDGE = 1e-12
 
 
@@ -184,7 +185,14 @@ def covariance(adjusted: Adjusted) -> RigCovariance | None:
 def _factor(normal: Array) -> tuple[Array, Array]:
     """Cholesky factor L and scales s of normal equations N: ``L L' = diag(s) N diag(s)``."""
     scale = 1 / np.sqrt(np.maximum(normal.diagonal(), 1e-300))
-    return cholesky(normal * scale * scale[:, None] + _RIDGE * np.eye(len(scale)), lower=True), scale
+    scaled, ridge = normal * scale * scale[:, None], _RIDGE
+    while True:
+        try:
+            return cholesky(scaled + ridge * np.eye(len(scale)), lower=True), scale
+        except LinAlgError:
+            if ridge > 1e-3:
+                raise
+            ridge *= 100
 
 
 def linearised(adjusted: Adjusted, lens: Mapping[str, tuple[str, ...]]) -> list[tuple[Array, Array, Array]]:

@@ -39,6 +39,8 @@ _UNEXPLAINED_RATIO, _UNEXPLAINED = 4.0, 0.06
 _MIN_FIXED = 1e-6
 # A corner this far from its projection is another one, or hidden.
 _MAX_SHIFT_PX = 2.0
+# Border of the box that keeps shifted windows inside it: the largest shift, and one for the interpolation.
+_BORDER_PX = 4
 # Share of corners that have to appear: of those the finder saw, or of the whole board where it saw none.
 _MIN_SHARE = 0.4
 
@@ -116,16 +118,14 @@ def _shift(
     place
         The corner on the board, in squares from its outer corner.
     """
-    # Two pixels of border keep the slopes and the shifted picture inside the box.
     size = np.array(box.shape[::-1])
-    first = np.clip(np.rint(at).astype(int) - _MAX_REACH_PX, 2, size)
-    last = np.clip(np.rint(at).astype(int) + _MAX_REACH_PX + 1, 0, size - 2)
+    first = np.clip(np.rint(at).astype(int) - _MAX_REACH_PX, _BORDER_PX, size)
+    last = np.clip(np.rint(at).astype(int) + _MAX_REACH_PX + 1, 0, size - _BORDER_PX)
     if (last <= first).any():
         return None
     window = (slice(first[1], last[1]), slice(first[0], last[0]))
     taken = np.asarray((np.abs(squares[window] - place) < _REACH).all(-1))
-    y, x = np.nonzero(taken)
-    if len(x) < _MIN_PIXELS or not (first + 1 < at).all() or not (at < last - 2).all():
+    if taken.sum() < _MIN_PIXELS or not (first + 1 < at).all() or not (at < last - 2).all():
         return None
     values = model[window][taken]
     columns = np.stack([np.ones_like(values), values, -slopes[0][window][taken], -slopes[1][window][taken]], -1)
@@ -135,8 +135,7 @@ def _shift(
     solve = np.linalg.inv(normal) @ columns.T
     shift = np.zeros(2)
     for _ in range(2):
-        px = (np.stack([x, y], -1) + first + shift).astype(np.float32)
-        levels = cv2.remap(box, px[:, 0], px[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).ravel()
+        levels = _shifted(box, window, shift)[taken]
         fit = solve @ levels
         if fit[1] <= 0:
             return None
@@ -145,3 +144,16 @@ def _shift(
             return None
     unexplained = float(((levels - columns @ fit) ** 2).sum() / max(((levels - levels.mean()) ** 2).sum(), 1e-9))
     return (shift, unexplained) if unexplained < _MAX_UNEXPLAINED else None
+
+
+def _shifted(box: Box, window: tuple[slice, slice], shift: Array) -> Array:
+    """Window of the box displaced by a shift (x, y), bilinear; OpenCV 4's own is in steps of 1/32 pixel."""
+    x, y = np.floor(shift).astype(int)
+    fx, fy = shift - (x, y)
+
+    def at(dx: int, dy: int) -> Array:
+        rows, columns = (slice(w.start + d, w.stop + d) for w, d in zip(window, (y + dy, x + dx), strict=True))
+        return np.asarray(box[rows, columns], dtype=np.float64)
+
+    upper = (1 - fx) * at(0, 0) + fx * at(1, 0)
+    return np.asarray((1 - fy) * upper + fy * ((1 - fx) * at(0, 1) + fx * at(1, 1)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -19,12 +19,16 @@ CELLS = (8, 6)
 # RMS in pixels: measured corners on sharp pictures give 0.02 to 0.2; above 0.5 something is wrong (board not flat,
 # pictures not of one instant, lens model too simple), above 1.5 the rig is of no use.
 _GOOD_PX, _USABLE_PX = 0.5, 1.5
+# The same for the deviation the rig adds to points, as a share of their distance: 0.1 mm at 300 mm, and 3 mm.
+_GOOD_SHARE, _USABLE_SHARE = 3e-4, 1e-2
 # Views per camera that are recommended, and below which a good fit says little.
 _MANY_VIEWS, _FEW_VIEWS = 10, 6
 # Share of the cells covered below which the lens is guessed in a large part of the picture.
 _LITTLE_COVERED = 0.3
 # Angle between the rays of two cameras, degrees, below which (or its supplement) depth is poorly fixed.
 _SMALL_ANGLE_DEG = 15.0
+# Largest angle between two boards, degrees, below which focal length and distance trade off against each other.
+_SMALL_TILT_DEG = 15.0
 _REGIONS = (
     ("upper left", "top", "upper right"),
     ("left", "middle", "right"),
@@ -46,12 +50,15 @@ class CameraQuality:
         (rows, columns): corners in each cell of the picture.
     sd
         Standard deviation of each free lens parameter.
+    tilt_deg
+        Largest angle between the planes of two boards.
     """
 
     views: int
     rms_px: float
     coverage: Array
     sd: Mapping[str, float]
+    tilt_deg: float = float("nan")
 
     @property
     def covered(self) -> float:
@@ -107,19 +114,29 @@ class Quality:
     point_sd_mm
         Predicted standard deviation of points triangulated where the boards were, as far as the rig causes it, in the
         base frame, or before registration as deviation of their shape; NaN for one camera.
+    distance_mm
+        Median distance of the boards from the cameras.
     """
 
     cameras: Mapping[str, CameraQuality]
     pairs: tuple[PairQuality, ...]
     rms_px: float
     point_sd_mm: float
+    distance_mm: float
 
 
 def assess(rig: Rig, adjusted: Adjusted) -> Quality:
-    """Work out the figures of an adjusted rig."""
+    """Work out the figures of an adjusted rig, from all observations that were not loosened."""
+    pairs_of = zip(adjusted.observations, adjusted.residuals_px, strict=True)
+    firm = [(o, r) for o, r in pairs_of if o.sd_px == 1]
+    adjusted = replace(adjusted, observations=tuple(o for o, _ in firm), residuals_px=tuple(r for _, r in firm))
     cameras = {name: _camera_quality(rig, adjusted, name) for name in rig.names}
     pairs = tuple(_pair_quality(rig, adjusted, a, b) for a, b in combinations(rig.names, 2))
-    return Quality(cameras, pairs, adjusted.rms_px, _point_sd_mm(rig, adjusted))
+    scene = adjusted.scene
+    poses = [scene.camera_from_base[o.camera] @ scene.base_from_view[o.view] for o in adjusted.observations]
+    places = [p.apply(o.points_mm.mean(0)) for p, o in zip(poses, adjusted.observations, strict=True)]
+    distance = float(np.median(np.linalg.norm(places, axis=1)))
+    return Quality(cameras, pairs, adjusted.rms_px, _point_sd_mm(rig, adjusted), distance)
 
 
 def _camera_quality(rig: Rig, adjusted: Adjusted, name: str) -> CameraQuality:
@@ -134,7 +151,9 @@ def _camera_quality(rig: Rig, adjusted: Adjusted, name: str) -> CameraQuality:
             camera, _, parameter = full.rpartition(".")
             if camera == name and parameter not in POSE:
                 sd[parameter] = float(np.sqrt(max(variance, 0.0)))
-    return CameraQuality(len(own), rms([r for _, r in own]), counts, sd)
+    normals = np.stack([adjusted.scene.base_from_view[o.view].rotation[:, 2] for o, _ in own])
+    tilt = float(_angle_deg(normals @ normals.T).max())
+    return CameraQuality(len(own), rms([r for _, r in own]), counts, sd, tilt)
 
 
 def _shared(adjusted: Adjusted, a: str, b: str) -> list[tuple[Observation, Observation]]:
@@ -257,21 +276,25 @@ class Verdict:
 
 def judge(quality: Quality, registered: bool) -> Verdict:
     """Judge a calibration in words."""
-    worst = max(c.rms_px for c in quality.cameras.values())
-    level = "good" if worst <= _GOOD_PX else "usable" if worst <= _USABLE_PX else "poor"
-    remarks = _remarks(quality)
-    if level == "good" and min(c.views for c in quality.cameras.values()) < _FEW_VIEWS:
-        level = "usable"
+    cameras = quality.cameras.values()
+    worst_px = max(c.rms_px for c in cameras)
+    few = min(c.views for c in cameras) < _FEW_VIEWS or min(c.tilt_deg for c in cameras) < _SMALL_TILT_DEG
+    share = np.nan_to_num(quality.point_sd_mm / quality.distance_mm, nan=0.0)
+    if worst_px > _USABLE_PX or share > _USABLE_SHARE:
+        level = "poor"
+    else:
+        level = "usable" if worst_px > _GOOD_PX or share > _GOOD_SHARE or few else "good"
     sentence = f"{level}: corners fit within {quality.rms_px:.2g} px RMS"
     if np.isfinite(quality.point_sd_mm):
-        sentence += (
-            f"; the rig itself adds about {max(quality.point_sd_mm, 1e-3):.1g} mm to points where the boards were"
-        )
+        # A board's squares are true to no better than a micrometre.
+        adds = max(quality.point_sd_mm, 1e-3)
+        amount = f"{adds:.1g}" if adds < 1 else f"{adds:.0f}"
+        sentence += f"; the rig itself adds about {amount} mm to points where the boards were"
     if level == "poor":
-        step = "calibrate again: board flat and still, focus locked, all cameras' pictures taken at one instant"
+        step = "calibrate again: more tilts, board flat and still, focus locked, all pictures of an instant together"
     else:
         step = "measure with `tubesight run`" if registered else "place the base frame with `tubesight register`"
-    return Verdict(level, sentence, tuple(remarks), step)
+    return Verdict(level, sentence, tuple(_remarks(quality)), step)
 
 
 def _remarks(quality: Quality) -> list[str]:
@@ -279,6 +302,11 @@ def _remarks(quality: Quality) -> list[str]:
     for name, camera in quality.cameras.items():
         if camera.views < _MANY_VIEWS:
             remarks.append(f"{name}: only {camera.views} views; {_MANY_VIEWS} or more tilts are better")
+        if camera.tilt_deg < _SMALL_TILT_DEG:
+            remarks.append(
+                f"{name}: all boards are within {camera.tilt_deg:.0f} degrees of each other, which leaves the focal "
+                "length open; tilt them by 20 to 45 degrees about different axes"
+            )
         if camera.covered < _LITTLE_COVERED:
             remarks.append(
                 f"{name}: corners cover {camera.coverage_words}; the lens is guessed elsewhere, "

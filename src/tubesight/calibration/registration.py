@@ -41,8 +41,8 @@ class Registration:
 
     Attributes
     ----------
-    observations, residuals_px
-        Of the registration, points in the base frame.
+    observations, residuals_px, labels
+        Of the registration, points in the base frame; labels are camera and view.
     adjusted
         The adjustment of everything; None where the rig had no observations.
     deviation_mm

@@ -48,15 +48,25 @@ def start_lens(views: Mapping[str, Corners], board: Board, size_px: tuple[int, i
     """Calibrate one camera from its views with OpenCV (Zhang 2000), leaving out views that do not fit.
 
     The focal lengths are separate and k3 is 0: the choice of parameters comes later, from better corners.
+
+    Raises
+    ------
+    CalibrationError
+        If the views do not fix a lens.
     """
     names = list(views)
     bad: dict[str, float] = {}
     while True:
         points = [board.corners_mm[views[n].ids].astype(np.float32).reshape(-1, 1, 3) for n in names]
         px = [views[n].px.astype(np.float32).reshape(-1, 1, 2) for n in names]
-        _, matrix, distortion, turn, shift, _, _, errors = cv2.calibrateCameraExtended(
-            points, px, size_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
-        )
+        try:
+            _, matrix, distortion, turn, shift, _, _, errors = cv2.calibrateCameraExtended(
+                points, px, size_px, np.eye(3), np.zeros(5), flags=cv2.CALIB_FIX_K3
+            )
+        except cv2.error as error:
+            raise CalibrationError(
+                f"the boards in {len(names)} pictures do not fix a lens; add pictures with the board tilted differently"
+            ) from error
         view_px = np.ravel(errors)
         worst = int(np.argmax(view_px))
         if len(names) <= MIN_VIEWS or view_px[worst] < max(_BAD_VIEW_RATIO * np.median(view_px), _BAD_VIEW_PX):

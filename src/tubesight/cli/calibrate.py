@@ -76,7 +76,7 @@ def show(outcome: Outcome, json: bool) -> None:
     for view, mm in outcome.registration.get("deviation_mm", {}).items():
         console.print(f"{view}: the board as stated is {mm:.3f} mm from where the pictures place it")
     if outcome.left_out:
-        console.print("not used:")
+        console.print("not used, or not fully:")
         for line in outcome.left_out:
             console.print(f"  {line}", soft_wrap=True)
     remark(f"note: {line}" for line in (*outcome.warnings, *outcome.verdict.remarks))

@@ -58,7 +58,8 @@ class Deviations(Sequence[NodeCurve]):
 
     def bounded(self) -> bool:
         """Whether every arc of the curve is longer than its deviation, so that displaced curves have an order."""
-        lengths, d = np.diff(self.nodes.s_mm), np.diff(self.nodes.d_s, axis=0)
+        s, d_s = self.nodes.s_mm, self.nodes.d_s
+        lengths, d = s[1:] - s[:-1], d_s[1:] - d_s[:-1]
         return bool((((d @ self.covariance) * d).sum(1) < lengths**2).all())
 
     def __len__(self) -> int:

@@ -25,8 +25,8 @@ _HALVES = np.linspace(0.0, 1.0, 2 * INTERVALS + 1)
 _POLYNOMIALS = [np.polynomial.legendre.Legendre.basis(k, domain=[0, 1]) for k in range(5)]
 LEGENDRE_ENDS = np.stack([p(_ENDS) for p in _POLYNOMIALS])
 LEGENDRE_TURNS = np.diff(np.stack([p.integ(lbnd=0)(_ENDS) for p in _POLYNOMIALS]), axis=1)
-# Least turn from which an ellipse is told, least curvature as a share of the largest, and ratio of axes of 4.4 to 1: what
-# the first guess of an ellipse is held to.
+# What the first guess of an ellipse is held to: least turn from which it is told, least curvature as a share of the
+# largest, and a ratio of axes of 4.4 to 1.
 _TURN_MIN, _LEAST_CURVATURE, _TANH_MAX = 0.03, 0.1, 0.9
 
 

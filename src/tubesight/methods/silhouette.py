@@ -6,20 +6,24 @@ which is exact for a tube of constant radius. The family of the curve is the sim
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
 from tubesight.core import Array, Status, Tube, Unmeasurable
-from tubesight.geometry.arcs import clamped_arc
 from tubesight.geometry.curve import Curve3D, NodeCurve
-from tubesight.geometry.families import FAMILIES, bends_of_pieces
+from tubesight.geometry.deviations import Deviations
+from tubesight.geometry.families import BASE, FAMILIES, bends_of_pieces, ellipse_like
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
-from tubesight.methods.agreement import flat_tip, triangulate_tip
-from tubesight.methods.fit import Fit, Problem, collect, fit_family
-from tubesight.methods.uncertainty import displaced, picture_covariance, rig_covariance
+from tubesight.methods.agreement import base_of, flat_tip, triangulate_tip
+from tubesight.methods.fit import Fit, fit_family
+from tubesight.methods.ray_kernels import meeting_point
+from tubesight.methods.rays import Problem, centre_of, collect
+from tubesight.methods.uncertainty import picture_covariance, rig_covariance
 from tubesight.vision.view import View
 
 # The simplest family whose rms is within this factor of the best one's is taken: residuals on photographs are
@@ -32,8 +36,18 @@ _RMS_FLOOR_PX = 0.06
 _GOOD_PX = 0.25
 # A tube whose centreline bends more sharply than this share of its radius' inverse kinks.
 _SHARPEST = 0.7
+# A good circle is challenged only where a few steps of a polynomial lower its rms by this factor: `_SIMPLEST_WITHIN` is
+# farther away.
+_WORTH, _FEW_STEPS = 1.15, 2
+# Axes of tips that miss each other by less than this meet, whatever the lens does to a pixel there.
+_TIP_CERTAIN_PX = 2.0
+# The way of a tube at its base is told from this part of its centreline.
+_FIRST_SHARE = 6
 # No family with a larger rms is an answer.
 _RMS_MAX_PX = 0.6
+
+# Frame in which a clamped tube starts.
+_CLAMP = Pose.identity()
 
 Starter = Callable[[Mapping[str, View], Rig, Tube], Curve3D]
 
@@ -58,20 +72,46 @@ class Silhouette:
         Unmeasurable
             If the views contradict each other or no family explains them.
         """
-        tip = triangulate_tip(views, rig)
-        start = Pose.identity() if tube.clamped else _frame_at_start(self.starter(views, rig, tube))
+        tip = _tip(views, rig)
+        start = _CLAMP if tube.clamped else self._start(views, rig, tube)
         problem = _problem(views, rig, tube, start, tip)
         chosen = choose_family(problem, tip)
         if tube.tip.shape == "flat":
-            curve = _curve(chosen)
-            tip = flat_tip(
-                views, rig, curve.at([curve.length_mm])[0], curve.tangent([curve.length_mm])[0], problem.radius_mm
-            )
-            problem = replace(problem, end_mm=tip)
-            chosen = fit_family(problem, chosen.family, chosen.parameters[: chosen.family.count])
-        if chosen.rms_px > _RMS_MAX_PX:
+            tip = flat_tip(views, rig, chosen.nodes.points[-1], chosen.nodes.tangents[-1], problem.radius_mm)
+            problem = problem._replace(end_mm=tip)
+            chosen = fit_family(problem, chosen.family, chosen.parameters)
+        if not chosen.rms_px <= _RMS_MAX_PX:
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")
         return _with_deviations(problem, chosen, views, rig, tube)
+
+
+    def _start(self, views: Mapping[str, View], rig: Rig, tube: Tube) -> Pose:
+        """Frame in which a tube without a clamp starts: by the starter, or else where both views see its base."""
+        try:
+            curve = self.starter(views, rig, tube)
+        except Unmeasurable as failure:
+            base = base_of(views, rig)
+            if failure.status is Status.VIEWS_DISAGREE or base is None:
+                raise
+            return _frame(base, _way_at_base(views, rig))
+        return _frame(curve.at([0.0])[0], curve.tangent([0.0])[0])
+
+
+def _tip(views: Mapping[str, View], rig: Rig) -> Array:
+    """Tip (3,) from the axes of all views.
+
+    Where they miss each other by much, the careful way decides.
+
+    Raises
+    ------
+    Unmeasurable
+        If the axes do not meet.
+    """
+    poses = [rig.camera_from_base[name] for name in views]
+    directions = np.stack([view.tip.axis @ pose.rotation for view, pose in zip(views.values(), poses, strict=True)])
+    centres = np.stack([centre_of(pose) for pose in poses])
+    point, miss_px = meeting_point(directions, centres, np.array([rig.cameras[name].focal_px for name in views]))
+    return point if miss_px < _TIP_CERTAIN_PX else triangulate_tip(views, rig)
 
 
 def _problem(views: Mapping[str, View], rig: Rig, tube: Tube, start: Pose, tip: Array) -> Problem:
@@ -79,15 +119,14 @@ def _problem(views: Mapping[str, View], rig: Rig, tube: Tube, start: Pose, tip: 
     if tube.diameter_mm is None and ball is None and tube.tip.shape != "flat":
         ball = 2 * _tip_radius(views, rig, tip)
     radius = tube.diameter_mm / 2 if tube.diameter_mm is not None else _radius_guess(views, rig, tip)
-    return Problem(
-        rays=collect(views, rig, tube),
-        start=start,
-        radius_mm=radius,
-        tip_radius_mm=None if ball is None else ball / 2,
-        radius_known=tube.diameter_mm is not None,
-        clamped=tube.clamped,
-        views=len(views),
-        end_mm=tip if tube.tip.shape == "flat" else None,
+    return collect(
+        views,
+        rig,
+        tube,
+        start,
+        radius,
+        None if ball is None else ball / 2,
+        tip if tube.tip.shape == "flat" else None,
     )
 
 
@@ -106,23 +145,49 @@ def _tip_radius(views: Mapping[str, View], rig: Rig, tip: Array) -> float:
     return float(np.mean(radii))
 
 
-def _frame_at_start(curve: Curve3D) -> Pose:
-    z = curve.tangent([0.0])[0]
+def _way_at_base(views: Mapping[str, View], rig: Rig) -> Array:
+    """Unit tangent (3,) at the base: where the planes through the first piece of each view's centreline meet."""
+    normals, forwards = [], np.zeros(3)
+    for name, view in views.items():
+        first = rig.directions(name, view.rays[: max(len(view.rays) // _FIRST_SHARE, 3)])
+        normals.append(np.linalg.svd(first, full_matrices=False)[2][-1])
+        forwards += first[-1] - first[0]
+    way = np.linalg.svd(np.stack(normals))[2][-1]
+    return np.asarray(way if way @ forwards >= 0 else -way)
+
+
+def _frame(start_mm: Array, z: Array) -> Pose:
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
     x /= np.linalg.norm(x)
-    return Pose(np.stack([x, np.cross(z, x), z], 1), curve.at([0.0])[0])
+    return Pose(np.stack([x, np.cross(z, x), z], 1), start_mm)
 
 
 def choose_family(problem: Problem, tip: Array) -> Fit:
-    """Fit families of growing freedom and return the simplest that explains the edges."""
-    arc = clamped_arc(problem.start.inverse().apply(tip))
-    circle = fit_family(problem, FAMILIES["circle"], np.append(arc.curvature_per_mm * arc.length_mm, arc.length_mm))
-    fits = [circle]
-    for names in (("ellipse",), ("polynomial2", "spatial2", "arcs2"), ("polynomial3", "spatial4", "arcs3")):
+    """Fit families of growing freedom and return the simplest that explains the edges.
+
+    Raises
+    ------
+    Unmeasurable
+        If not even a circle can be fitted.
+    """
+    circle = fit_family(problem, FAMILIES["circle"], _arc_to(problem, tip), _RMS_MAX_PX)
+    if not math.isfinite(circle.rms_px):
+        raise Unmeasurable(Status.NEAR_DEGENERATE, detail="no curve can be fitted to the edges")
+    good = circle.rms_px <= _GOOD_PX
+    if circle.rms_px <= _RMS_FLOOR_PX:
+        return circle
+    # Shapes are nearly linear in the coefficients of a polynomial: a few steps tell what a better family could gain.
+    bx, by = circle.parameters[:2]
+    plane = np.concatenate([[np.arctan2(by, bx), np.hypot(bx, by), 0.0, 0.0], circle.parameters[2:]])
+    better = fit_family(problem, FAMILIES["polynomial2"], plane, circle.rms_px / _WORTH if good else np.inf, _FEW_STEPS)
+    if good and better.rms_px > circle.rms_px / _WORTH:
+        return circle
+    guess = np.append(ellipse_like(better.parameters[:5]), better.parameters[5:])
+    fits = {"circle": circle, "ellipse": fit_family(problem, FAMILIES["ellipse"], guess, _RMS_MAX_PX)}
+    for names in ((), ("spatial2", "polynomial2", "arcs2"), ("spatial4", "polynomial3", "arcs3")):
         for name in names:
-            guesses = _guesses(name, fits)
-            fits.append(min((fit_family(problem, FAMILIES[name], g) for g in guesses), key=lambda f: f.rms_px))
-        plausible = [fit for fit in fits if _is_tube(fit, problem.radius_mm)] or fits
+            fits[name] = fit_family(problem, FAMILIES[name], _guess(name, fits))
+        plausible = [fit for fit in fits.values() if _is_tube(fit, problem.radius_mm)] or list(fits.values())
         best = min(fit.rms_px for fit in plausible)
         if best <= _GOOD_PX:
             break
@@ -130,43 +195,49 @@ def choose_family(problem: Problem, tip: Array) -> Fit:
     return next(fit for fit in sorted(plausible, key=lambda f: f.family.count) if fit.rms_px <= limit)
 
 
+def _arc_to(problem: Problem, tip: Array) -> Array:
+    """Parameters (3,) of the circle that leaves the start along its axis and ends in the tip (`clamped_arc`)."""
+    x, y, z = ((tip - problem.start_mm) @ problem.start_rotation).tolist()
+    side, chord = math.hypot(x, y), math.hypot(x, y, z)
+    half = math.atan2(side, z)
+    bend = 2 * half / side if side > 0 else 0.0
+    return np.array([bend * x, bend * y, chord * half / math.sin(half) if 0 < half < math.pi else chord])
+
+
 def _is_tube(fit: Fit, radius_mm: float) -> bool:
     """Whether a tube of this radius can be bent like that without running into itself."""
-    sharpest = float(np.linalg.norm(fit.nodes.curvature[0], axis=1).max())
+    sharpest = float(np.sqrt((fit.nodes.curvature**2).sum(1).max()))
     return sharpest * radius_mm < _SHARPEST
 
 
-def _guesses(name: str, fits: list[Fit]) -> list[Array]:
-    """First guesses of a family's parameters from the families already fitted."""
-    done = {fit.family.name: fit.parameters for fit in fits}
-    bx, by, length = done["circle"][:3]
-    theta, azimuth = float(np.hypot(bx, by)), float(np.arctan2(by, bx))
-    if name == "ellipse":
-        return [np.array([azimuth, theta, np.pi / 4, 0.3, length])]
-    if name == "polynomial2":
-        return [np.array([azimuth, theta, 0.0, 0.0, length])]
-    if name == "polynomial3":
-        return [np.insert(done["polynomial2"][:5], 4, 0.0)]
+def _guess(name: str, fits: dict[str, Fit]) -> Array:
+    """First guess of a family's parameters from the families already fitted."""
+    bx, by, length = fits["circle"].parameters[:3]
+    if name == "spatial2":
+        return np.array([bx, by, 0.0, 0.0, 0.0, 0.0, length])
+    richer = fits["spatial2" if name in ("polynomial2", "arcs2", "spatial4") else "spatial4"].parameters
+    if name == "spatial4":
+        return np.concatenate([richer[:6], np.zeros(4), richer[6:7]])
     if name in ("arcs2", "arcs3"):
         count = int(name[-1])
-        richer = done["spatial2" if count == 2 else "spatial4"]
-        guess = FAMILIES["spatial2" if count == 2 else "spatial4"].count - 1
-        bends = bends_of_pieces(richer[:guess].reshape(-1, 2), count)
-        return [np.concatenate([bends.ravel(), np.zeros(count - 1), [length]])]
-    if name == "spatial2":
-        return [np.array([bx, by, 0.0, 0.0, 0.0, 0.0, length])]
-    return [np.concatenate([done["spatial2"][:6], np.zeros(4), done["spatial2"][6:7]])]
-
-
-def _curve(fit: Fit) -> NodeCurve:
-    return NodeCurve(fit.family.name, fit.nodes.s_mm[0], fit.nodes.points[0], fit.nodes.tangents[0])
+        richer = richer[: FAMILIES["spatial2" if count == 2 else "spatial4"].count]
+        bends = bends_of_pieces(richer[:-1].reshape(-1, 2), count)
+        return np.concatenate([bends.ravel(), np.zeros(count - 1), [length]])
+    if name == "polynomial2":
+        return np.array([np.arctan2(by, bx), np.hypot(bx, by), 0.0, 0.0, length])
+    return np.insert(fits["polynomial2"].parameters[:5], 4, 0.0)
 
 
 def _with_deviations(problem: Problem, fit: Fit, views: Mapping[str, View], rig: Rig, tube: Tube) -> NodeCurve:
-    picture = displaced(problem, fit, picture_covariance(problem, fit))
-    from_rig: tuple[NodeCurve, ...] = ()
-    if rig.covariance is not None:
-        steps = np.maximum(0.1 * np.sqrt(np.diag(rig.covariance.matrix)), 1e-9)
-        moved = [collect(views, rig.perturbed(n, d), tube) for n, d in zip(rig.covariance.names, steps, strict=True)]
-        from_rig = displaced(problem, fit, rig_covariance(problem, fit, moved, steps, rig.covariance.matrix))
-    return replace(_curve(fit), from_picture=picture, from_rig=from_rig)
+    size = fit.family.count + BASE
+
+    def from_rig() -> Array:
+        return rig_covariance(problem, fit, views, rig, tube)[:size, :size]
+
+    covariance = picture_covariance(problem, fit)[:size, :size]
+    picture = Deviations(fit.family.name, fit.nodes, lambda: covariance)
+    if not picture.bounded():
+        raise Unmeasurable(Status.NEAR_DEGENERATE, detail="the pictures leave the length of the curve open")
+    calibration = Deviations(fit.family.name, fit.nodes, from_rig) if rig.covariance is not None else ()
+    displaced = cast(tuple[tuple[NodeCurve, ...], tuple[NodeCurve, ...]], (picture, calibration))
+    return NodeCurve(fit.family.name, fit.nodes.s_mm, fit.nodes.points, fit.nodes.tangents, *displaced)

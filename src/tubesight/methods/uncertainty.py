@@ -2,95 +2,69 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
-from tubesight.core import Array, Status, Unmeasurable
-from tubesight.geometry.curve import NodeCurve
-from tubesight.methods.fit import BASE, Fit, Problem, Rays, curve_of, prior, variances
-
-# Residuals along one edge hang together over about this length of tube.
-_BLOCK_MM = 25.0
-# Displaced curves are taken at this share of a deviation and scaled up: the map from parameters to numbers is linear
-# there.
-_SHARE = 0.05
-
-
-def bread(problem: Problem, fit: Fit) -> Array:
-    """Inverse normal matrix (P, P) of the weighted fit with its priors."""
-    weight = fit.weight / variances(problem, fit.residual_px)
-    normal = fit.jacobian.T @ (fit.jacobian * weight[:, None])
-    normal += np.diag(prior(problem, fit.family, len(fit.parameters)))
-    return np.asarray(np.linalg.pinv(normal, hermitian=True))
+from tubesight.core import Array, Tube
+from tubesight.core.kernels import COMPILED
+from tubesight.geometry.families import INTERVALS
+from tubesight.geometry.rig import Rig
+from tubesight.methods import fit_kernels, solve
+from tubesight.methods.fit import Fit, priors
+from tubesight.methods.rays import Problem, collect
+from tubesight.vision.view import View
 
 
 def picture_covariance(problem: Problem, fit: Fit) -> Array:
-    """Covariance (P, P) of the parameters from the edges.
-
-    Sandwich estimator ``H^-1 M H^-1``: M sums the gradients of blocks of one edge over `_BLOCK_MM` of tube, so that
-    correlated residuals count as often as they are independent, and adds the priors, among them the shift of each row.
-    Blocks are corrected for the freedom the fit took.
-    """
-    rays = problem.rays
-    inverse = bread(problem, fit)
-    weight = fit.weight / variances(problem, fit.residual_px)
-    gradient = fit.jacobian * (weight * fit.residual_px)[:, None]
-    n = len(rays.place)
-    blocks = np.floor(rays.place * max(float(fit.nodes.s_mm[0, -1]) / _BLOCK_MM, 1.0))
-    key = rays.side * 1000 + np.where(rays.tip, 999, np.minimum(blocks, 998)).astype(int)
-    middle = np.zeros_like(inverse)
-    labels = np.unique(key)
-    for label in labels:
-        total = gradient[:n][key == label].sum(0)
-        middle += np.outer(total, total)
-    independent = (gradient[:, :, None] * gradient[:, None, :]).sum(0)
-    freedom = len(labels) / max(len(labels) - fit.family.count, 1)
-    middle = np.where(np.trace(inverse @ middle) > np.trace(inverse @ independent), middle * freedom, independent)
-    middle += np.diag(prior(problem, fit.family, len(fit.parameters)))
-    return np.asarray(inverse @ middle @ inverse)
+    """Covariance (P, P) of the parameters from the edges."""
+    return (fit_kernels.sandwich if COMPILED else solve.sandwich)(
+        problem,
+        fit.jacobian,
+        fit.residual_px,
+        fit.weight,
+        _known(problem, fit),
+        fit.family.count,
+        float(fit.nodes.s_mm[-1]),
+    )
 
 
-def rig_covariance(problem: Problem, fit: Fit, moved: list[Rays], steps: Array, covariance: Array) -> Array:
+def _known(problem: Problem, fit: Fit) -> Array:
+    """Information (P, P) on the parameters beside the rays: priors and the middle of a flat end."""
+    prior, _ = priors(problem, fit.family)
+    if math.isnan(problem.end_mm[0]):
+        return np.diag(prior)
+    _, end = solve.end_miss(problem, fit.nodes, len(prior))
+    return np.diag(prior) + np.outer(end, end)
+
+
+def rig_covariance(problem: Problem, fit: Fit, views: Mapping[str, View], rig: Rig, tube: Tube) -> Array:
     """Covariance (P, P) of the parameters from the calibration: ``G S G^T``, ``G = -H^-1 J^T W J_c``.
 
-    Parameters
-    ----------
-    moved, steps
-        The rays with each calibrated parameter moved by its step, (K,).
-    covariance
-        (K, K) of the calibrated parameters.
+    J_c, the derivatives of the rays' misses by the calibrated parameters, are differences: each parameter is moved by a
+    tenth of its deviation, and the pixels are turned into rays again.
     """
-    inverse = bread(problem, fit)
-    weight = fit.weight / variances(problem, fit.residual_px)
+    if rig.covariance is None:
+        raise ValueError("the rig carries no covariance")
+    steps = np.maximum(0.1 * np.sqrt(np.diag(rig.covariance.matrix)), 1e-9)
+    near = np.floor(problem.place * INTERVALS + 0.5).astype(np.int64)
+    still, jacobian, near = solve.misses(problem, fit.nodes, fit.parameters, near)
+    ball = None if np.isnan(problem.tip_radius_mm) else problem.tip_radius_mm
+    end = None if np.isnan(problem.end_mm[0]) else problem.end_mm
     columns = []
-    for rays, step in zip(moved, steps, strict=True):
-        residual = fit.residual_at(problem, rays)
-        columns.append((residual - fit.residual_px) / step)
-    g = -inverse @ (fit.jacobian * weight[:, None]).T @ np.stack(columns, 1)
-    return np.asarray(g @ covariance @ g.T)
+    for name, step in zip(rig.covariance.names, steps, strict=True):
+        moved = rig.perturbed(name, step)
+        seen = {n: _seen_again(view, moved) for n, view in views.items()}
+        there = collect(seen, moved, tube, problem.start, problem.radius_mm, ball, end)
+        columns.append((solve.misses(there, fit.nodes, fit.parameters, near)[0] - still) / step)
+    hessian, reduced, _, a = solve.reduced_equations(problem, jacobian, fit.weight, _known(problem, fit))
+    g = np.linalg.solve(hessian, (reduced * a[:, None]).T @ np.stack(columns, 1))
+    return np.asarray(g @ rig.covariance.matrix @ g.T)
 
 
-def displaced(problem: Problem, fit: Fit, covariance: Array) -> tuple[NodeCurve, ...]:
-    """Curves one deviation away along each independent direction of a covariance of the parameters.
-
-    Raises
-    ------
-    Unmeasurable
-        If a deviation is so large that the curve is not determined.
-    """
-    geometric = fit.family.count + BASE
-    values, vectors = np.linalg.eigh(covariance[:geometric, :geometric])
-    factor = vectors * np.sqrt(np.clip(values, 0.0, None))
-    moved = np.repeat(fit.parameters[None], geometric, axis=0)
-    moved[:, :geometric] += _SHARE * factor.T
-    nodes = curve_of(problem, fit.family, moved)
-    s, points, tangents = (
-        (still[0] + (there - still[0]) / _SHARE)
-        for still, there in (
-            (fit.nodes.s_mm, nodes.s_mm),
-            (fit.nodes.points, nodes.points),
-            (fit.nodes.tangents, nodes.tangents),
-        )
-    )
-    if not (np.diff(s, axis=1) > 0).all():
-        raise Unmeasurable(Status.NEAR_DEGENERATE, detail="the pictures leave the length of the curve open")
-    return tuple(NodeCurve(fit.family.name, s[k], points[k], tangents[k]) for k in range(geometric))
+def _seen_again(view: View, rig: Rig) -> View:
+    """View with the rays of its edges from another calibration."""
+    rays = rig.cameras[view.camera].unproject(view.edges_px)
+    return replace(view, edge_rays=rays / np.linalg.norm(rays, axis=-1, keepdims=True))

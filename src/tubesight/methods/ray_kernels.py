@@ -1,0 +1,145 @@
+"""Compiled geometry of rays: undistorting few pixels, and the point where the tips' axes meet."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tubesight.core import Array
+from tubesight.core.kernels import compiled
+
+# Steps of Newton's method, and residual on the image plane at which it ends, as in `tubesight.geometry.lens`.
+_STEPS, _TOLERANCE = 20, 1e-14
+# Residual up to which a pixel counts as undistorted; others are left to the careful way.
+_INVERTED = 1e-12
+
+
+@compiled
+def undistorted(pixels: Array, matrix: Array, k: Array) -> Array:
+    """Camera rays (N, 3) ``(x, y, 1)`` of pixels (N, 2), by Newton's method from the distorted point.
+
+    `k` (8,) are the coefficients of OpenCV's rational lens. NaN where that does not converge: the whole plane is
+    searched by `tubesight.geometry.Camera.unproject`.
+    """
+    rays = np.ones((len(pixels), 3))
+    for i in range(len(pixels)):
+        v = (pixels[i, 1] - matrix[1, 2]) / matrix[1, 1]
+        u = (pixels[i, 0] - matrix[0, 2] - matrix[0, 1] * v) / matrix[0, 0]
+        x, y, error = u, v, np.inf
+        for _ in range(_STEPS):
+            r2 = x * x + y * y
+            top = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+            bottom = 1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+            radial = top / bottom
+            slope = (k[0] + r2 * (2 * k[1] + 3 * k[4] * r2)) / bottom
+            slope -= radial * (k[5] + r2 * (2 * k[6] + 3 * k[7] * r2)) / bottom
+            off_x = x * radial + 2 * k[2] * x * y + k[3] * (r2 + 2 * x * x) - u
+            off_y = y * radial + k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y - v
+            error = abs(off_x) + abs(off_y)
+            if error < _TOLERANCE:
+                break
+            xx = radial + 2 * x * x * slope + 2 * k[2] * y + 6 * k[3] * x
+            yy = radial + 2 * y * y * slope + 6 * k[2] * y + 2 * k[3] * x
+            xy = 2 * x * y * slope + 2 * k[2] * x + 2 * k[3] * y
+            determinant = xx * yy - xy * xy
+            if not (determinant > 0 and xx + yy > 0):
+                error = np.inf
+                break
+            x -= (yy * off_x - xy * off_y) / determinant
+            y -= (xx * off_y - xy * off_x) / determinant
+        inside = error < _INVERTED
+        rays[i, 0], rays[i, 1] = (x, y) if inside else (np.nan, np.nan)
+    return rays
+
+
+@compiled
+def meeting_point(directions: Array, centres: Array, focal_px: Array) -> tuple[Array, float]:
+    """Point (3,) nearest to unit rays (V, 3) in pixels, and by how many pixels the farthest one misses it.
+
+    Each ray counts by its focal length over its range, in a second pass.
+    """
+    point, weight = np.zeros(3), np.ones(len(directions))
+    worst = 0.0
+    for _ in range(3):
+        normal, right = np.zeros((3, 3)), np.zeros(3)
+        for k in range(len(directions)):
+            for i in range(3):
+                for j in range(3):
+                    across = weight[k] * ((1.0 if i == j else 0.0) - directions[k, i] * directions[k, j])
+                    normal[i, j] += across
+                    right[i] += across * centres[k, j]
+        solve_three(normal, right, point)
+        worst = 0.0
+        for k in range(len(directions)):
+            along, square = 0.0, 0.0
+            for i in range(3):
+                off = point[i] - centres[k, i]
+                along += off * directions[k, i]
+                square += off * off
+            if not along > 0:
+                point[:] = np.nan
+                return point, np.inf
+            off = np.sqrt(max(square - along * along, 0.0)) / along * focal_px[k]
+            worst = off if off > worst else worst
+            weight[k] = (focal_px[k] / along) ** 2
+    return point, worst
+
+
+@compiled
+def solve_three(a: Array, b: Array, x: Array) -> None:
+    """Solve a symmetric system of three equations by Cramer's rule into `x`."""
+    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
+    c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
+    c02 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
+    determinant = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
+    c11, c22 = a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0], a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+    c12 = a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]
+    x[0] = (c00 * b[0] + c01 * b[1] + c02 * b[2]) / determinant
+    x[1] = (c01 * b[0] + c11 * b[1] + c12 * b[2]) / determinant
+    x[2] = (c02 * b[0] + c12 * b[1] + c22 * b[2]) / determinant
+
+
+@compiled
+def rows_of_view(
+    edge_rays: Array,
+    centreline_px: Array,
+    tip_px: Array,
+    contour_px: Array,
+    contour_rays: Array,
+    rotation: Array,
+    most: int,
+) -> tuple[Array, Array, Array]:
+    """Twin of `tubesight.methods.rays.rows_of_view`."""
+    scans, contour = len(edge_rays), len(contour_px)
+    count = min(scans, most)
+    size = 2 * count + contour
+    direction, place, lobes = np.empty((size, 3)), np.empty(size), np.empty((size, 2))
+    chord = np.empty(scans + 1)
+    chord[0] = 0.0
+    for i in range(scans):
+        there = centreline_px[i + 1] if i + 1 < scans else tip_px
+        x, y = there[0] - centreline_px[i, 0], there[1] - centreline_px[i, 1]
+        chord[i + 1] = chord[i] + np.sqrt(x * x + y * y)
+    for j in range(count):
+        i = j if scans <= most else int(j * ((scans - 1) / (most - 1)) + 0.5)
+        share = chord[i] / chord[scans]
+        for k in range(2):
+            at = k * count + j
+            place[at], lobes[at, 0], lobes[at, 1] = share, 1.0, 2 * share - 1
+            for c in range(3):
+                direction[at, c] = 0.0
+                for r in range(3):
+                    direction[at, c] += edge_rays[i, k, r] * rotation[r, c]
+    for j in range(contour):
+        at = 2 * count + j
+        place[at] = 1.0
+        x, y = contour_px[j, 0] - tip_px[0], contour_px[j, 1] - tip_px[1]
+        size_px = np.sqrt(x * x + y * y)
+        lobes[at, 0], lobes[at, 1] = x / size_px, y / size_px
+        square = 0.0
+        for r in range(3):
+            square += contour_rays[j, r] * contour_rays[j, r]
+        for c in range(3):
+            direction[at, c] = 0.0
+            for r in range(3):
+                direction[at, c] += contour_rays[j, r] * rotation[r, c] / np.sqrt(square)
+    return direction, place, lobes

@@ -1,0 +1,214 @@
+"""The silhouette as rays: edges of the tube and contours of its tip, from all views, in the base frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from tubesight.core import Array, Status, Tube, Unmeasurable
+from tubesight.core.kernels import COMPILED
+from tubesight.geometry.camera import Camera
+from tubesight.geometry.pose import Pose
+from tubesight.geometry.rig import Rig
+from tubesight.methods import ray_kernels
+from tubesight.vision.view import View
+
+Indices = np.ndarray[tuple[int], np.dtype[np.int64]]
+
+# Rows of edges of a view: left, right, tip.
+ROWS = 3
+# Edges may all lie this far outwards or inwards in one view (blur, gamma), and each row of them this far by itself
+# (limb shading), plus a share of its roughness: what roughens an edge also moves it.
+BIAS_PX = 0.2
+_ROW_PX, _ROW_SHARE = 0.04, 0.7
+# Edges of a row that are used, evenly spread. The errors of a photograph's edges hang together along the tube: with all
+# 90 of them the errors of tip and angles on 75 photographs with known truth were the same or larger.
+_ROW_MAX, _TIP_MAX = 24, 16
+
+
+class Problem(NamedTuple):
+    """Silhouette rays of V views and what is known of the tube: everything a fit needs but the family.
+
+    A tuple of arrays and numbers, since that is what compiled code takes. Rays are sorted by rows, `ROWS` of them in
+    each view.
+
+    Attributes
+    ----------
+    direction
+        (N, 3) unit direction of each ray in the base frame.
+    place
+        (N,) share of the way from base to tip in its view; 1 for rays of the tip.
+    lobes
+        (N, 2) the two ways in which shading moves a row: sides shift and tilt along the tube; a tip's contour shifts
+        as a whole in the picture, along both axes.
+    row_start
+        (3 V + 1,) first ray of each row.
+    row_sd_px, lobe_sd_px
+        (3 V,) roughness of each row, and how far the whole row may be moved by shading.
+    centre_mm, focal_px
+        (V, 3) and (V,) centre of projection in the base frame, and what turns angles into pixels.
+    start_rotation, start_mm
+        (3, 3), (3,) ``base_from_start``: where the curve starts; the identity for a clamp.
+    radius_mm
+        Radius of the tube, or a first guess of it where `radius_open`.
+    tip_radius_mm
+        Radius of a ball; NaN where the tip has the tube's own radius.
+    radius_open
+        Whether `radius_mm` is a guess to be improved.
+    clamped
+        Whether the start is known or free.
+    end_mm
+        (3,) for flat tips: the middle of the end face; else NaN.
+    """
+
+    direction: Array
+    place: Array
+    lobes: Array
+    row_start: Indices
+    row_sd_px: Array
+    lobe_sd_px: Array
+    centre_mm: Array
+    focal_px: Array
+    start_rotation: Array
+    start_mm: Array
+    radius_mm: float
+    tip_radius_mm: float
+    radius_open: bool
+    clamped: bool
+    end_mm: Array
+
+    @property
+    def start(self) -> Pose:
+        """``base_from_start``."""
+        return Pose(self.start_rotation, self.start_mm)
+
+
+def collect(
+    views: Mapping[str, View],
+    rig: Rig,
+    tube: Tube,
+    start: Pose,
+    radius_mm: float,
+    tip_radius_mm: float | None,
+    end_mm: Array | None,
+) -> Problem:
+    """Gather the edge rays of all views and the rays of ball and rounded tips.
+
+    Raises
+    ------
+    Unmeasurable
+        If a view holds a number that is not finite.
+    """
+    rows: list[tuple[Array, Array, Array]] = []
+    row_sd: list[float] = []
+    lobe_sd: list[float] = []
+    counts = [0]
+    for name, view in views.items():
+        tip = view.tip
+        contour = tip.contour_px[spread(len(tip.contour_px), _TIP_MAX if tube.tip.shape != "flat" else 0)]
+        rows.append(
+            (ray_kernels.rows_of_view if COMPILED else rows_of_view)(
+                _plain(view.edge_rays),
+                _plain(view.centreline_px),
+                _plain(tip.px),
+                _plain(contour),
+                unprojected(rig.cameras[name], contour),
+                _plain(rig.camera_from_base[name].rotation),
+                _ROW_MAX,
+            )
+        )
+        count = min(len(view.edges_px), _ROW_MAX)
+        counts += [count, count, len(contour)]
+        left, right = view.edge_sd_px.tolist()
+        row_sd += [left, right, max(tip.rms_px, (left + right) / 2)]
+        rough, doubt = (left, right, tip.rms_px), (*view.edge_doubt_px.tolist(), tip.doubt_px)
+        lobe_sd += [math.hypot(_ROW_PX, d + _ROW_SHARE * r) for d, r in zip(doubt, rough, strict=True)]
+    direction, place, lobes = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    if not math.isfinite(direction.sum() + place.sum() + lobes.sum() + sum(row_sd) + sum(lobe_sd)):
+        raise Unmeasurable(Status.TOO_FEW_POINTS, detail="an edge of a view is not a finite number")
+    return Problem(
+        direction,
+        place,
+        lobes,
+        np.array(counts).cumsum(),
+        np.array(row_sd),
+        np.array(lobe_sd),
+        np.stack([centre_of(rig.camera_from_base[n]) for n in views]),
+        np.array([rig.cameras[n].focal_px for n in views]),
+        np.array(start.rotation),
+        np.array(start.translation_mm),
+        radius_mm,
+        np.nan if tip_radius_mm is None else tip_radius_mm,
+        tube.diameter_mm is None,
+        tube.clamped,
+        np.full(3, np.nan) if end_mm is None else np.array(end_mm),
+    )
+
+
+def centre_of(camera_from_base: Pose) -> Array:
+    """Centre of projection (3,) in the base frame."""
+    return np.asarray(-camera_from_base.translation_mm @ camera_from_base.rotation)
+
+
+def unprojected(camera: Camera, pixels: Array) -> Array:
+    """Camera rays (N, 3) of pixels (N, 2): compiled for the usual lenses, `Camera.unproject` where that fails."""
+    if COMPILED and camera.lens in ("brown", "rational"):
+        k = np.zeros(8)
+        k[: len(camera.distortion)] = camera.distortion
+        rays = ray_kernels.undistorted(_plain(pixels), _plain(camera.matrix), k)
+        if np.isfinite(rays.sum()):
+            return rays
+    return camera.unproject(pixels)
+
+
+def _plain(values: Array) -> Array:
+    """Copy of an array laid out as compiled code expects all arrays."""
+    return np.array(values, order="C")
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.sqrt((vectors * vectors).sum(1, keepdims=True)))
+
+
+def spread(count: int, most: int) -> Indices:
+    """Choose at most `most` of `count` things, evenly spread, the first and the last among them."""
+    if count <= most:
+        return np.arange(count)
+    return (np.arange(most) * ((count - 1) / (most - 1)) + 0.5).astype(np.int64)
+
+
+def rows_of_view(
+    edge_rays: Array,
+    centreline_px: Array,
+    tip_px: Array,
+    contour_px: Array,
+    contour_rays: Array,
+    rotation: Array,
+    most: int,
+) -> tuple[Array, Array, Array]:
+    """Rows of one view: directions in the base frame (n, 3), shares of the way (n,) and lobes (n, 2).
+
+    Parameters
+    ----------
+    edge_rays, centreline_px, tip_px
+        (N, 2, 3), (N, 2), (2,) as in a `View`.
+    contour_px, contour_rays
+        (K, 2), (K, 3) of the tip.
+    rotation
+        (3, 3) ``camera_from_base``.
+    most
+        Edges of each side that are used.
+    """
+    chosen = spread(len(edge_rays), most)
+    way = np.vstack([centreline_px, tip_px])
+    step = way[1:] - way[:-1]
+    chord = np.sqrt((step * step).sum(1)).cumsum()
+    share = np.append(0.0, chord[:-1] / chord[-1])[chosen]
+    sides = np.stack([np.ones(len(share)), 2 * share - 1], 1)
+    edges = edge_rays[chosen]
+    direction = np.concatenate([edges[:, 0], edges[:, 1], _unit(contour_rays)]) @ rotation
+    place = np.concatenate([share, share, np.ones(len(contour_px))])
+    return direction, place, np.concatenate([sides, sides, _unit(contour_px - tip_px)])

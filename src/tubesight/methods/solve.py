@@ -1,0 +1,294 @@
+"""The silhouette fit in NumPy: readable, and the judge of its compiled twins in `tubesight.methods.kernels`.
+
+The residual of a ray is ``g(p) - N n``: p are the few parameters of curve, base and radius; n are shifts of the edges
+in the pictures, `NUISANCES` a view (all its edges; two lobes of each of its rows), which enter linearly. For weights a
+they are eliminated exactly, ``n = (N^T a N + P)^-1 N^T a g`` (variable projection: Golub & Pereyra 1973), and leave the
+normal equations of p with their Schur complement.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tubesight.core import Array
+from tubesight.geometry.families import INTERVALS, Family, Nodes, nodes_of
+from tubesight.methods.rays import BIAS_PX, ROWS, Indices, Problem
+
+# Shifts of a view: of all edges, and two lobes of each row.
+NUISANCES = 1 + 2 * ROWS
+# How well the middle of a flat end face is known along the tube.
+END_SD_MM = 0.02
+# Edges farther off than this many robust deviations carry no weight (Tukey's biweight: 4.7 for 95 % efficiency).
+TUKEY = 4.7
+# No scale is smaller: compression and shading move edges smoothly by this much, which makes them no outliers.
+SCALE_FLOOR_PX = 0.06
+# No edge counts with more than this in the rms that families are compared by: what crosses the tube is not its shape.
+RMS_CAP_PX = 3.0
+ITERATIONS = 30
+# Movement of the curve under which the fit has converged: a tenth of what the best pictures tell.
+CONVERGED_MM = 2e-3
+# A step that leaves more than this share of the cost shows how far a family can come.
+SLOW = 0.7
+# Scale of a row over which a fit is rough: outliers are not known yet, and it is the model that errs, by about a pixel
+# everywhere, however smooth a row is.
+ROUGH_PX, MODEL_SD_PX = 0.5, 1.0
+# Residuals along one row hang together over about this length of tube.
+BLOCK_MM = 25.0
+# Longest step of an angle (rad) or a pure number: families are far from linear beyond it.
+STEP_MAX = 0.5
+# First damping of the steps, and the share of the length that none may cut it to.
+DAMPING = 1e-3
+SHORTEST = 0.3
+
+
+def row_of(problem: Problem) -> Indices:
+    """Row (N,) of each ray."""
+    return np.repeat(np.arange(len(problem.row_sd_px)), np.diff(problem.row_start))
+
+
+def misses(problem: Problem, nodes: Nodes, p: Array, near: Indices) -> tuple[Array, Array, Indices]:
+    """Measure how far each ray misses the surface of a curve's tube, outwards, in pixels at that depth.
+
+    The derivative of the distance by a parameter is the unit normal times the derivative of the nearest point: at the
+    nearest point its place on the curve does not matter.
+
+    Parameters
+    ----------
+    near
+        (N,) nodes from which each ray walks to its nearest one.
+
+    Returns
+    -------
+    miss_px, jacobian, near
+        (N,), (N, P), (N,); P counts the parameters of curve and base, and the radius where it is open.
+    """
+    row = row_of(problem)
+    view, tip = row // ROWS, row % ROWS == ROWS - 1
+    d = problem.direction
+    relative = nodes.points[None] - problem.centre_mm[view][:, None]
+    along = np.einsum("nmk,nk->nm", relative, d)
+    squared = (relative**2).sum(-1) - along**2
+    best = np.where(tip, INTERVALS, _descend(squared, near))
+    rows = np.arange(len(d))
+    depth = along[rows, best]
+    w = relative[rows, best] - depth[:, None] * d
+    t = nodes.tangents[best]
+    t = t - (t * d).sum(1, keepdims=True) * d
+    k = nodes.curvature[best]
+    k = k - (k * d).sum(1, keepdims=True) * d
+    bottom = (t * t).sum(1) + (w * k).sum(1)
+    spacing = nodes.s_mm[-1] / INTERVALS
+    shift = -(w * t).sum(1) / np.where(np.abs(bottom) > 1e-6, bottom, np.inf)
+    shift = np.where(
+        tip, 0.0, np.clip(shift, np.where(best > 0, -spacing, 0.0), np.where(best < INTERVALS, spacing, 0))
+    )
+    off = w + t * shift[:, None] + k * (shift**2 / 2)[:, None]
+    distance = np.sqrt((off * off).sum(1))
+    to_px = problem.focal_px[view] / depth
+    open_radius = p[-1] if problem.radius_open else 0.0
+    ball = tip & np.isfinite(problem.tip_radius_mm)
+    miss = (distance - np.where(ball, problem.tip_radius_mm, problem.radius_mm + open_radius)) * to_px
+    normal = off * (to_px / distance)[:, None]
+    share = (np.abs(shift) / spacing)[:, None, None]
+    other = best + np.sign(shift).astype(np.int64)
+    moved = nodes.d_points[best] * (1 - share) + nodes.d_points[other] * share
+    jacobian = np.einsum("nkp,nk->np", moved, normal)
+    if problem.radius_open:
+        jacobian = np.column_stack([jacobian, np.where(ball, 0.0, -to_px)])
+    return miss, jacobian, best
+
+
+def _descend(squared: Array, near: Indices) -> Indices:
+    """Nearest nodes (N,), each found by walking downhill from its start: what the distance continues to."""
+    best = near.copy()
+    rows = np.arange(len(best))
+    last = squared.shape[1] - 1
+    forwards = squared[rows, np.minimum(best + 1, last)] < squared[rows, best]
+    step = np.where(forwards, 1, -1)
+    while True:
+        after = np.clip(best + step, 0, last)
+        better = squared[rows, after] < squared[rows, best]
+        if not better.any():
+            return np.asarray(best)
+        best = np.where(better, after, best)
+
+
+def end_miss(problem: Problem, nodes: Nodes, size: int) -> tuple[float, Array]:
+    """Measure how far a flat end lies from its face along the tube, in deviations, with derivatives (P,)."""
+    jacobian = np.zeros(size)
+    if np.isnan(problem.end_mm[0]):
+        return 0.0, jacobian
+    heading = nodes.tangents[-1]
+    jacobian[: nodes.d_points.shape[2]] = heading @ nodes.d_points[-1] / END_SD_MM
+    return float((nodes.points[-1] - problem.end_mm) @ heading) / END_SD_MM, jacobian
+
+
+def weights(problem: Problem, residual: Array) -> Array:
+    """Tukey's biweight by rows; where a row is far off, all of it counts alike, and the farthest less (Cauchy)."""
+    weight = np.ones(len(residual))
+    for row, (low, high) in enumerate(zip(problem.row_start[:-1], problem.row_start[1:], strict=True)):
+        if high == low:
+            continue
+        r = residual[low:high]
+        scale = max(1.4826 * float(np.median(np.abs(r))), SCALE_FLOOR_PX)
+        if scale > ROUGH_PX:
+            square = problem.row_sd_px[row] ** 2
+            weight[low:high] = square / (square + MODEL_SD_PX**2) / (1 + (r / (3 * scale + MODEL_SD_PX)) ** 2)
+        else:
+            scale = max(scale, problem.row_sd_px[row])
+            weight[low:high] = np.clip(1 - (r / (TUKEY * scale)) ** 2, 0, None) ** 2
+    return weight
+
+
+def precision(problem: Problem, weight: Array) -> Array:
+    """Inverse variances (N,) of the rays: robust weights over each row's roughness squared."""
+    return np.asarray(weight / problem.row_sd_px[row_of(problem)] ** 2)
+
+
+def shifts(problem: Problem, view: int) -> tuple[slice, Array, Array]:
+    """Rays of a view, their derivatives (n, K) by its shifts, and the shifts' inverse variances (K,)."""
+    rows = problem.row_start[ROWS * view : ROWS * view + ROWS + 1]
+    design = np.zeros((rows[-1] - rows[0], NUISANCES))
+    design[:, 0] = 1.0
+    for k in range(ROWS):
+        at = slice(rows[k] - rows[0], rows[k + 1] - rows[0])
+        design[at, 1 + 2 * k : 3 + 2 * k] = problem.lobes[rows[k] : rows[k + 1]]
+    lobes = problem.lobe_sd_px[ROWS * view : ROWS * view + ROWS]
+    return slice(rows[0], rows[-1]), design, np.append(BIAS_PX**-2, np.repeat(lobes**-2, 2))
+
+
+def without_shifts(problem: Problem, miss: Array, a: Array) -> tuple[Array, float]:
+    """Residuals (N,) with the best shifts taken out, and their weighted sum of squares with that of the shifts."""
+    residual, cost = miss.copy(), 0.0
+    for view in range(len(problem.focal_px)):
+        at, design, prior = shifts(problem, view)
+        weighted = design * a[at, None]
+        shift = np.linalg.solve(design.T @ weighted + np.diag(prior), weighted.T @ miss[at])
+        residual[at] -= design @ shift
+        cost += float(a[at] @ residual[at] ** 2 + prior @ shift**2)
+    return residual, cost
+
+
+def normal_equations(problem: Problem, jacobian: Array, residual: Array, a: Array) -> tuple[Array, Array]:
+    """Hessian (P, P) and gradient (P,) of the rays' part of the cost, the shifts eliminated."""
+    hessian = jacobian.T @ (jacobian * a[:, None])
+    for view in range(len(problem.focal_px)):
+        at, design, prior = shifts(problem, view)
+        weighted = design * a[at, None]
+        mixed = weighted.T @ jacobian[at]
+        hessian -= mixed.T @ np.linalg.solve(design.T @ weighted + np.diag(prior), mixed)
+    return hessian, jacobian.T @ (a * residual)
+
+
+def rms(problem: Problem, residual: Array) -> float:
+    """Root mean square of the tube's edges: rows count by their smoothness, and no edge more than `RMS_CAP_PX`."""
+    row = row_of(problem)
+    inverse = np.where(row % ROWS < ROWS - 1, problem.row_sd_px[row] ** -2, 0.0)
+    return float(np.sqrt((inverse * np.minimum(np.abs(residual), RMS_CAP_PX) ** 2).sum() / inverse.sum()))
+
+
+def movement(nodes: Nodes, there: Nodes) -> float:
+    """Measure how far a curve has moved at most: across itself, or at its end in any way."""
+    off = there.points - nodes.points
+    off[:-1] -= (off * nodes.tangents).sum(1, keepdims=True)[:-1] * nodes.tangents[:-1]
+    return float(np.sqrt((off * off).sum(1).max()))
+
+
+def fit(
+    problem: Problem, family: Family, p: Array, prior: Array, anchor: Array, worth_px: float, steps: int
+) -> tuple[Array, Nodes, Array, Array, Array, float]:
+    """Levenberg-Marquardt steps with robust weights.
+
+    Parameters
+    ----------
+    p
+        (P,) first guess of the parameters of family, base and, where it is open, the radius' correction.
+    prior, anchor
+        (P,) inverse variances in the Hessian, and those that also pull to zero.
+    worth_px
+        The fit is given up where its rms is above this and its cost no longer falls fast (`SLOW`).
+    steps
+        Most steps that are taken.
+
+    Returns
+    -------
+    p, nodes, residual, weight, jacobian, rms
+    """
+
+    def look(p: Array, near: Indices) -> tuple[Nodes, Array, Array, Indices, float, Array]:
+        nodes = nodes_of(family, p[: family.count + 4], problem.start)
+        return (nodes, *misses(problem, nodes, p, near), *end_miss(problem, nodes, len(p)))
+
+    state = look(p, np.floor(problem.place * INTERVALS + 0.5).astype(np.int64))
+    weight = weights(problem, state[1])
+    damping = DAMPING
+    for _ in range(steps):
+        nodes, miss, jacobian, near, end, end_jacobian = state
+        a = precision(problem, weight)
+        residual, cost = without_shifts(problem, miss, a)
+        cost += end**2 + float(anchor @ p**2)
+        hessian, gradient = normal_equations(problem, jacobian, residual, a)
+        hessian += np.outer(end_jacobian, end_jacobian) + np.diag(prior)
+        gradient += end_jacobian * end + anchor * p
+        for _ in range(8):
+            move = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
+            trial = p - move * min(1.0, STEP_MAX / max(float(np.abs(move[: family.count - 1]).max()), 1e-9))
+            if trial[family.count - 1] > SHORTEST * p[family.count - 1]:
+                tried = look(trial, near)
+                trial_residual, trial_cost = without_shifts(problem, tried[1], a)
+                trial_cost += tried[4] ** 2 + float(anchor @ trial**2)
+                if trial_cost <= cost * (1 + 1e-9):
+                    break
+            damping *= 6.0
+        else:
+            break
+        moved = movement(nodes, tried[0])
+        p, state, residual, damping = trial, tried, trial_residual, max(damping / 10, 1e-9)
+        weight = weights(problem, residual)
+        if moved < CONVERGED_MM or (trial_cost > SLOW * cost and rms(problem, residual) > worth_px):
+            break
+    residual, _ = without_shifts(problem, state[1], precision(problem, weight))
+    return p, state[0], residual, weight, state[2], rms(problem, residual)
+
+
+def reduced_equations(
+    problem: Problem, jacobian: Array, weight: Array, known: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Eliminate the shifts from the Jacobian: Hessian, Jacobian, what is known, precisions.
+
+    `known` (P, P) is the information on the parameters beside the rays; returned with that on the shifts, which follow
+    the parameters.
+    """
+    a = precision(problem, weight)
+    reduced, priors = jacobian.copy(), known
+    for view in range(len(problem.focal_px)):
+        at, design, inverse = shifts(problem, view)
+        weighted = design * a[at, None]
+        share = np.linalg.solve(design.T @ weighted + np.diag(inverse), weighted.T @ jacobian[at])
+        reduced[at] -= design @ share
+        priors = priors + share.T @ (inverse[:, None] * share)
+    return priors + reduced.T @ (reduced * a[:, None]), reduced, priors, a
+
+
+def sandwich(
+    problem: Problem, jacobian: Array, residual: Array, weight: Array, known: Array, count: int, length_mm: float
+) -> Array:
+    """Covariance (P, P) of the parameters from the edges: ``H^-1 M H^-1``.
+
+    M sums the gradients of blocks of one row over `BLOCK_MM` of tube, so that correlated residuals count as often as
+    they are independent, and adds what is `known` (P, P) beside the rays, and the shifts of each row. Blocks are
+    corrected for the freedom that the `count` parameters of the curve took.
+    """
+    hessian, reduced, priors, a = reduced_equations(problem, jacobian, weight, known)
+    gradient = reduced * (a * residual)[:, None]
+    blocks = np.floor(problem.place * max(length_mm / BLOCK_MM, 1.0)).astype(np.int64)
+    row = row_of(problem)
+    key = row * 1000 + np.where(row % ROWS == ROWS - 1, 0, blocks)
+    labels, index = np.unique(key, return_inverse=True)
+    sums = np.zeros((len(labels), len(known)))
+    np.add.at(sums, index, gradient)
+    inverse = np.linalg.inv(hessian)
+    together = sums.T @ sums * len(labels) / max(len(labels) - count, 1)
+    independent = gradient.T @ gradient
+    middle = together if np.trace(inverse @ together) > np.trace(inverse @ independent) else independent
+    return np.asarray(inverse @ (middle + priors) @ inverse)
