@@ -108,7 +108,7 @@ def collect(
     counts = [0]
     for name, view in views.items():
         tip = view.tip
-        contour = tip.contour_px[spread(len(tip.contour_px), _TIP_MAX if tube.tip.shape != "flat" else 0)]
+        contour = _used_contour(view, tube)
         rows.append(
             (ray_kernels.rows_of_view if COMPILED else rows_of_view)(
                 _plain(view.edge_rays),
@@ -173,10 +173,24 @@ def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.sqrt((vectors * vectors).sum(1, keepdims=True)))
 
 
+def used_pixels(view: View, tube: Tube) -> Array:
+    """Pixels (n, 2) of the rays of one view, in the order of `collect`."""
+    edges = view.edges_px[spread(len(view.edges_px), _ROW_MAX)]
+    return np.concatenate([edges[:, 0], edges[:, 1], _used_contour(view, tube)])
+
+
+def _used_contour(view: View, tube: Tube) -> Array:
+    """Pixels (K, 2) of the tip's contour that are used; none of a flat end."""
+    contour = view.tip.contour_px
+    return contour[spread(len(contour), _TIP_MAX if tube.tip.shape != "flat" else 0)]
+
+
 def spread(count: int, most: int) -> Indices:
     """Choose at most `most` of `count` things, evenly spread, the first and the last among them."""
     if count <= most:
         return np.arange(count)
+    if most < 2:
+        return np.arange(most)
     return (np.arange(most) * ((count - 1) / (most - 1)) + 0.5).astype(np.int64)
 
 

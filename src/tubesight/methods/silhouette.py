@@ -84,7 +84,6 @@ class Silhouette:
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")
         return _with_deviations(problem, chosen, views, rig, tube)
 
-
     def _start(self, views: Mapping[str, View], rig: Rig, tube: Tube) -> Pose:
         """Frame in which a tube without a clamp starts: by the starter, or else where both views see its base."""
         try:
@@ -146,7 +145,7 @@ def _tip_radius(views: Mapping[str, View], rig: Rig, tip: Array) -> float:
 
 
 def _way_at_base(views: Mapping[str, View], rig: Rig) -> Array:
-    """Unit tangent (3,) at the base: where the planes through the first piece of each view's centreline meet."""
+    """Find the unit tangent (3,) at the base: where the planes through each view's first piece of centreline meet."""
     normals, forwards = [], np.zeros(3)
     for name, view in views.items():
         first = rig.directions(name, view.rays[: max(len(view.rays) // _FIRST_SHARE, 3)])

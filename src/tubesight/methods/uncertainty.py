@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from tubesight.core import Array, Tube
 from tubesight.core.kernels import COMPILED
+from tubesight.geometry.camera import Camera
 from tubesight.geometry.families import INTERVALS
 from tubesight.geometry.rig import Rig
 from tubesight.methods import fit_kernels, solve
 from tubesight.methods.fit import Fit, priors
-from tubesight.methods.rays import Problem, collect
+from tubesight.methods.rays import ROWS, Problem, centre_of, unprojected, used_pixels
 from tubesight.vision.view import View
+
+# Step of the rays' place in differences: the miss is linear over a thousandth of a millimetre.
+_STEP_MM = 1e-3
 
 
 def picture_covariance(problem: Problem, fit: Fit) -> Array:
@@ -43,28 +48,58 @@ def _known(problem: Problem, fit: Fit) -> Array:
 def rig_covariance(problem: Problem, fit: Fit, views: Mapping[str, View], rig: Rig, tube: Tube) -> Array:
     """Covariance (P, P) of the parameters from the calibration: ``G S G^T``, ``G = -H^-1 J^T W J_c``.
 
-    J_c, the derivatives of the rays' misses by the calibrated parameters, are differences: each parameter is moved by a
-    tenth of its deviation, and the pixels are turned into rays again.
+    J_c are the derivatives of the rays' misses by the calibrated parameters: each parameter moves the rays of one
+    camera, whose pixels stay; a ray's miss changes with where it passes the tube.
     """
     if rig.covariance is None:
         raise ValueError("the rig carries no covariance")
-    steps = np.maximum(0.1 * np.sqrt(np.diag(rig.covariance.matrix)), 1e-9)
-    near = np.floor(problem.place * INTERVALS + 0.5).astype(np.int64)
-    still, jacobian, near = solve.misses(problem, fit.nodes, fit.parameters, near)
-    ball = None if np.isnan(problem.tip_radius_mm) else problem.tip_radius_mm
-    end = None if np.isnan(problem.end_mm[0]) else problem.end_mm
-    columns = []
-    for name, step in zip(rig.covariance.names, steps, strict=True):
-        moved = rig.perturbed(name, step)
-        seen = {n: _seen_again(view, moved) for n, view in views.items()}
-        there = collect(seen, moved, tube, problem.start, problem.radius_mm, ball, end)
-        columns.append((solve.misses(there, fit.nodes, fit.parameters, near)[0] - still) / step)
-    hessian, reduced, _, a = solve.reduced_equations(problem, jacobian, fit.weight, _known(problem, fit))
-    g = np.linalg.solve(hessian, (reduced * a[:, None]).T @ np.stack(columns, 1))
+    by_place, depth = _by_place(problem, fit)
+    pixels = {name: used_pixels(view, tube) for name, view in views.items()}
+    columns = np.zeros((len(problem.place), len(rig.covariance.names)))
+    for k, moved in enumerate(_moved(rig)):
+        if moved.name not in pixels:
+            continue
+        view = list(views).index(moved.name)
+        at = slice(problem.row_start[ROWS * view], problem.row_start[ROWS * view + ROWS])
+        rays = unprojected(moved.camera, pixels[moved.name])
+        direction = rays / np.sqrt((rays * rays).sum(1, keepdims=True)) @ moved.rotation
+        shift = (moved.centre_mm - problem.centre_mm[view]) + depth[at, None] * (direction - problem.direction[at])
+        columns[at, k] = (by_place[at] * shift).sum(1) / moved.step
+    hessian, reduced, _, a = solve.reduced_equations(problem, fit.jacobian, fit.weight, _known(problem, fit))
+    g = np.linalg.solve(hessian, (reduced * a[:, None]).T @ columns)
     return np.asarray(g @ rig.covariance.matrix @ g.T)
 
 
-def _seen_again(view: View, rig: Rig) -> View:
-    """View with the rays of its edges from another calibration."""
-    rays = rig.cameras[view.camera].unproject(view.edges_px)
-    return replace(view, edge_rays=rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+def _by_place(problem: Problem, fit: Fit) -> tuple[Array, Array]:
+    """Derivatives (N, 3) of each ray's miss by where it passes the tube, and its depth (N,) there."""
+    near = np.floor(problem.place * INTERVALS + 0.5).astype(np.int64)
+    still, _, near = solve.misses(problem, fit.nodes, fit.parameters, near)
+    columns = []
+    for axis in np.eye(3) * _STEP_MM:
+        there = problem._replace(centre_mm=problem.centre_mm + axis)
+        columns.append((solve.misses(there, fit.nodes, fit.parameters, near)[0] - still) / _STEP_MM)
+    centre = problem.centre_mm[solve.row_of(problem) // ROWS]
+    return np.stack(columns, 1), ((fit.nodes.points[near] - centre) * problem.direction).sum(1)
+
+
+class _Moved(NamedTuple):
+    """A camera with one of its calibrated parameters moved by a step."""
+
+    name: str
+    camera: Camera
+    rotation: Array
+    centre_mm: Array
+    step: float
+
+
+@lru_cache(maxsize=4)
+def _moved(rig: Rig) -> tuple[_Moved, ...]:
+    """Cameras with each calibrated parameter moved by a tenth of its deviation."""
+    assert rig.covariance is not None
+    moved = []
+    steps = np.maximum(0.1 * np.sqrt(np.diag(rig.covariance.matrix)), 1e-9)
+    for parameter, step in zip(rig.covariance.names, steps, strict=True):
+        name, there = parameter.rsplit(".", 1)[0], rig.perturbed(parameter, step)
+        pose = there.camera_from_base[name]
+        moved.append(_Moved(name, there.cameras[name], np.array(pose.rotation), centre_of(pose), float(step)))
+    return tuple(moved)
