@@ -119,12 +119,13 @@ def test_calibration_counts() -> None:
     nodes = curve("circle", SHAPES["circle"])
     found = measured(nodes, BALL, rig)
     displaced = np.array([c.points_mm[-1] for c in found.from_rig]) - found.points_mm[-1]
-    moved = rig.perturbed("left.cx", 0.5)
-    there = METHODS["silhouette"].solve(_seen_by(views_of(nodes, RIG, BALL), moved), moved, BALL)
-    by_left = (there.at([there.length_mm])[0] - found.points_mm[-1]) / 0.5
-    # One of two equal and independent parts, so that the sum of squares is larger; the difference is one of steps.
-    assert np.linalg.norm(displaced) > 0.9 * np.linalg.norm(by_left)
-    assert np.linalg.norm(displaced) < 3 * np.linalg.norm(by_left)
+    squares = np.zeros(3)
+    for name in names:
+        moved = rig.perturbed(name, 0.5)
+        there = METHODS["silhouette"].solve(_seen_by(views_of(nodes, RIG, BALL), moved), moved, BALL)
+        squares += ((there.at([there.length_mm])[0] - found.points_mm[-1]) / 0.5) ** 2
+    # Half a pixel is not quite linear: robust weights change with it.
+    np.testing.assert_allclose(np.sqrt((displaced**2).sum(0)), np.sqrt(squares), rtol=0.1, atol=0.01)
 
 
 def _seen_by(views: dict[str, View], rig: Rig) -> dict[str, View]:

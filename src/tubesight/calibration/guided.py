@@ -37,6 +37,8 @@ _MAX_UNEXPLAINED = 0.3
 _UNEXPLAINED_RATIO, _UNEXPLAINED = 4.0, 0.06
 # Determinant of the scaled normal equations below which the surroundings do not fix the corner (a plain patch).
 _MIN_FIXED = 1e-6
+# Gray levels between black and white below which there is nothing to measure but noise.
+_MIN_CONTRAST = 8.0
 # A corner this far from its projection is another one, or hidden.
 _MAX_SHIFT_PX = 2.0
 # Border of the box that keeps shifted windows inside it: the largest shift, and one for the interpolation.
@@ -137,7 +139,7 @@ def _shift(
     for _ in range(2):
         levels = _shifted(box, window, shift)[taken]
         fit = solve @ levels
-        if fit[1] <= 0:
+        if fit[1] < _MIN_CONTRAST:
             return None
         shift = shift + fit[2:] / fit[1]
         if np.abs(shift).max() > _MAX_SHIFT_PX:

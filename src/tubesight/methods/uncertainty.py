@@ -71,7 +71,7 @@ def rig_covariance(problem: Problem, fit: Fit, views: Mapping[str, View], rig: R
 
 
 def _by_place(problem: Problem, fit: Fit) -> tuple[Array, Array]:
-    """Derivatives (N, 3) of each ray's miss by where it passes the tube, and its depth (N,) there."""
+    """Differentiate each ray's miss by where it passes the tube, (N, 3), with its depth (N,) there."""
     near = np.floor(problem.place * INTERVALS + 0.5).astype(np.int64)
     still, _, near = solve.misses(problem, fit.nodes, fit.parameters, near)
     columns = []
