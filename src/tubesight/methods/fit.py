@@ -15,6 +15,9 @@ from tubesight.methods.rays import Problem
 
 # What a clamp is trusted to: place and direction of the base (standard deviations).
 _CLAMP_MM, _CLAMP_RAD = 0.05, np.radians(0.05)
+# Where a tube without a clamp starts is seen to a few millimetres and tenths of a radian: that keeps a wrong family
+# from wandering off, and weighs nothing beside the edges of the right one.
+_FREE_MM, _FREE_RAD = 5.0, 0.2
 # A guess of the radius from the pictures is good to this share.
 _RADIUS_SHARE = 0.2
 # Inverse variance that keeps what the data do not determine (a tube without a clamp along itself) from making the
@@ -89,7 +92,7 @@ def _priors(family: Family, clamped: bool, open_radius_mm: float | None) -> tupl
     if clamped:
         anchor[count : count + 2], anchor[count + 2 : count + BASE] = _CLAMP_MM**-2, _CLAMP_RAD**-2
     else:
-        anchor[count : count + BASE] = _RIDGE
+        anchor[count : count + 2], anchor[count + 2 : count + BASE] = _FREE_MM**-2, _FREE_RAD**-2
     if open_radius_mm is not None:
         anchor[-1] = (_RADIUS_SHARE * open_radius_mm) ** -2
     return np.maximum(anchor, _RIDGE), anchor

@@ -15,7 +15,6 @@ from tubesight.methods.solve import (
     NUISANCES,
     RMS_CAP_PX,
     ROUGH_PX,
-    SCALE_FLOOR_PX,
     TUKEY,
 )
 
@@ -54,6 +53,11 @@ def misses(problem: Problem, nodes: NodeArrays, p: Array, near: Indices, miss: A
                 square = shift * shift / 2
                 x, y, z = x + tx * shift + kx * square, y + ty * shift + ky * square, z + tz * shift + kz * square
             distance = np.sqrt(x * x + y * y + z * z)
+            if tip:
+                ax, ay, az = problem.tip_axis[view, 0], problem.tip_axis[view, 1], problem.tip_axis[view, 2]
+                along = dx * ax + dy * ay + dz * az
+                if x * (dx - along * ax) + y * (dy - along * ay) + z * (dz - along * az) > 0:
+                    distance = -distance
             to_px = problem.focal_px[view] / depth
             miss[i] = (distance - radius) * to_px
             x, y, z = x * to_px / distance, y * to_px / distance, z * to_px / distance
@@ -112,15 +116,12 @@ def weights(problem: Problem, residual: Array, weight: Array) -> None:
         low, high = problem.row_start[row], problem.row_start[row + 1]
         if high == low:
             continue
-        scale = max(1.4826 * np.median(np.abs(residual[low:high])), SCALE_FLOOR_PX)
-        square = problem.row_sd_px[row] * problem.row_sd_px[row]
-        far = scale > ROUGH_PX
-        if not far:
-            scale = max(scale, problem.row_sd_px[row])
+        sd = problem.row_sd_px[row]
+        scale = max(1.4826 * np.median(np.abs(residual[low:high])), sd)
         for i in range(low, high):
-            if far:
+            if scale > ROUGH_PX:
                 off = residual[i] / (3 * scale + MODEL_SD_PX)
-                weight[i] = square / (square + MODEL_SD_PX * MODEL_SD_PX) / (1 + off * off)
+                weight[i] = sd * sd / (sd * sd + MODEL_SD_PX * MODEL_SD_PX) / (1 + off * off)
             else:
                 left = 1 - (residual[i] / (TUKEY * scale)) ** 2
                 weight[i] = left * left if not left < 0 else 0.0

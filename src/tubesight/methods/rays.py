@@ -24,6 +24,8 @@ ROWS = 3
 # (limb shading), plus a share of its roughness: what roughens an edge also moves it.
 BIAS_PX = 0.2
 _ROW_PX, _ROW_SHARE = 0.04, 0.7
+# However smooth a row, no edge is known better than this: compression and shading move edges smoothly.
+_EDGE_PX = 0.06
 # Edges of a row that are used, evenly spread. The errors of a photograph's edges hang together along the tube: with all
 # 90 of them the errors of tip and angles on 75 photographs with known truth were the same or larger.
 _ROW_MAX, _TIP_MAX = 24, 16
@@ -47,9 +49,11 @@ class Problem(NamedTuple):
     row_start
         (3 V + 1,) first ray of each row.
     row_sd_px, lobe_sd_px
-        (3 V,) roughness of each row, and how far the whole row may be moved by shading.
+        (3 V,) deviation of the edges of each row, and how far the whole row may be moved by shading.
     centre_mm, focal_px
         (V, 3) and (V,) centre of projection in the base frame, and what turns angles into pixels.
+    tip_axis
+        (V, 3) unit direction of the tip's axis: a ray of its contour passes the tip on its own side of it.
     start_rotation, start_mm
         (3, 3), (3,) ``base_from_start``: where the curve starts; the identity for a clamp.
     radius_mm
@@ -72,6 +76,7 @@ class Problem(NamedTuple):
     lobe_sd_px: Array
     centre_mm: Array
     focal_px: Array
+    tip_axis: Array
     start_rotation: Array
     start_mm: Array
     radius_mm: float
@@ -123,7 +128,7 @@ def collect(
         count = min(len(view.edges_px), _ROW_MAX)
         counts += [count, count, len(contour)]
         left, right = view.edge_sd_px.tolist()
-        row_sd += [left, right, max(tip.rms_px, (left + right) / 2)]
+        row_sd += [math.hypot(_EDGE_PX, r) for r in (left, right, max(tip.rms_px, (left + right) / 2))]
         rough, doubt = (left, right, tip.rms_px), (*view.edge_doubt_px.tolist(), tip.doubt_px)
         lobe_sd += [math.hypot(_ROW_PX, d + _ROW_SHARE * r) for d, r in zip(doubt, rough, strict=True)]
     direction, place, lobes = (np.concatenate(parts) for parts in zip(*rows, strict=True))
@@ -136,8 +141,7 @@ def collect(
         np.array(counts).cumsum(),
         np.array(row_sd),
         np.array(lobe_sd),
-        np.stack([centre_of(rig.camera_from_base[n]) for n in views]),
-        np.array([rig.cameras[n].focal_px for n in views]),
+        *_cameras(views, rig),
         np.array(start.rotation),
         np.array(start.translation_mm),
         radius_mm,
@@ -146,6 +150,13 @@ def collect(
         tube.clamped,
         np.full(3, np.nan) if end_mm is None else np.array(end_mm),
     )
+
+
+def _cameras(views: Mapping[str, View], rig: Rig) -> tuple[Array, Array, Array]:
+    """Centres (V, 3), focal lengths (V,) and directions of the tips (V, 3), in the base frame."""
+    centres = np.stack([centre_of(rig.camera_from_base[n]) for n in views])
+    axes = np.stack([view.tip.axis @ rig.camera_from_base[n].rotation for n, view in views.items()])
+    return centres, np.array([rig.cameras[n].focal_px for n in views]), axes
 
 
 def centre_of(camera_from_base: Pose) -> Array:

@@ -22,7 +22,7 @@ from tubesight.geometry.rig import Rig
 from tubesight.methods.agreement import base_of, flat_tip, triangulate_tip
 from tubesight.methods.fit import Fit, fit_family
 from tubesight.methods.ray_kernels import meeting_point
-from tubesight.methods.rays import Problem, centre_of, collect
+from tubesight.methods.rays import ROWS, Problem, centre_of, collect
 from tubesight.methods.uncertainty import picture_covariance, rig_covariance
 from tubesight.vision.view import View
 
@@ -41,8 +41,11 @@ _SHARPEST = 0.7
 _WORTH, _FEW_STEPS = 1.15, 2
 # Axes of tips that miss each other by less than this meet, whatever the lens does to a pixel there.
 _TIP_CERTAIN_PX = 2.0
-# The way of a tube at its base is told from this part of its centreline.
-_FIRST_SHARE = 6
+# Median distance of the edges of a tip from its model, above which the curve ends elsewhere. On photographs: 0.5 px.
+_TIP_OFF_PX = 2.0
+# The way of a tube at its base is told from this part of its centreline, where the planes of the views meet at 6
+# degrees or more (sqrt(2) times the sine of half of it).
+_FIRST_SHARE, _PLANES_APART = 6, 0.07
 # No family with a larger rms is an answer.
 _RMS_MAX_PX = 0.6
 
@@ -59,7 +62,7 @@ class Silhouette:
     Attributes
     ----------
     starter
-        Method that gives the first curve of a tube without a clamp.
+        Method that tells where a tube without a clamp starts, where its views do not.
     """
 
     starter: Starter
@@ -82,17 +85,16 @@ class Silhouette:
             chosen = fit_family(problem, chosen.family, chosen.parameters)
         if not chosen.rms_px <= _RMS_MAX_PX:
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")
+        if not _reaches_tip(chosen, problem):
+            raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="no curve along the edges ends in the tip")
         return _with_deviations(problem, chosen, views, rig, tube)
 
     def _start(self, views: Mapping[str, View], rig: Rig, tube: Tube) -> Pose:
-        """Frame in which a tube without a clamp starts: by the starter, or else where both views see its base."""
-        try:
-            curve = self.starter(views, rig, tube)
-        except Unmeasurable as failure:
-            base = base_of(views, rig)
-            if failure.status is Status.VIEWS_DISAGREE or base is None:
-                raise
-            return _frame(base, _way_at_base(views, rig))
+        """Frame in which a tube without a clamp starts: where both views see its base, or else by the starter."""
+        base, way = base_of(views, rig), _way_at_base(views, rig)
+        if base is not None and way is not None:
+            return _frame(base, way)
+        curve = self.starter(views, rig, tube)
         return _frame(curve.at([0.0])[0], curve.tangent([0.0])[0])
 
 
@@ -144,15 +146,20 @@ def _tip_radius(views: Mapping[str, View], rig: Rig, tip: Array) -> float:
     return float(np.mean(radii))
 
 
-def _way_at_base(views: Mapping[str, View], rig: Rig) -> Array:
-    """Find the unit tangent (3,) at the base: where the planes through each view's first piece of centreline meet."""
+def _way_at_base(views: Mapping[str, View], rig: Rig) -> Array | None:
+    """Find the unit tangent (3,) at the base: where the planes of each view's first piece of centreline meet.
+
+    None where these are nearly one plane.
+    """
     normals, forwards = [], np.zeros(3)
     for name, view in views.items():
         first = rig.directions(name, view.rays[: max(len(view.rays) // _FIRST_SHARE, 3)])
         normals.append(np.linalg.svd(first, full_matrices=False)[2][-1])
         forwards += first[-1] - first[0]
-    way = np.linalg.svd(np.stack(normals))[2][-1]
-    return np.asarray(way if way @ forwards >= 0 else -way)
+    _, spread, axes = np.linalg.svd(np.stack(normals))
+    if spread[1] < _PLANES_APART:
+        return None
+    return np.asarray(axes[-1] if axes[-1] @ forwards >= 0 else -axes[-1])
 
 
 def _frame(start_mm: Array, z: Array) -> Pose:
@@ -187,6 +194,7 @@ def choose_family(problem: Problem, tip: Array) -> Fit:
         for name in names:
             fits[name] = fit_family(problem, FAMILIES[name], _guess(name, fits))
         plausible = [fit for fit in fits.values() if _is_tube(fit, problem.radius_mm)] or list(fits.values())
+        plausible = [fit for fit in plausible if _reaches_tip(fit, problem)] or plausible
         best = min(fit.rms_px for fit in plausible)
         if best <= _GOOD_PX:
             break
@@ -207,6 +215,13 @@ def _is_tube(fit: Fit, radius_mm: float) -> bool:
     """Whether a tube of this radius can be bent like that without running into itself."""
     sharpest = float(np.sqrt((fit.nodes.curvature**2).sum(1).max()))
     return sharpest * radius_mm < _SHARPEST
+
+
+def _reaches_tip(fit: Fit, problem: Problem) -> bool:
+    """Whether the curve ends where the contours of the tip want it, in every view."""
+    start = problem.row_start
+    rows = [np.abs(fit.residual_px[start[k] : start[k + 1]]) for k in range(ROWS - 1, len(start) - 1, ROWS)]
+    return all(len(row) == 0 or float(np.median(row)) < _TIP_OFF_PX for row in rows)
 
 
 def _guess(name: str, fits: dict[str, Fit]) -> Array:

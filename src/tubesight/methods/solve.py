@@ -20,8 +20,6 @@ NUISANCES = 1 + 2 * ROWS
 END_SD_MM = 0.02
 # Edges farther off than this many robust deviations carry no weight (Tukey's biweight: 4.7 for 95 % efficiency).
 TUKEY = 4.7
-# No scale is smaller: compression and shading move edges smoothly by this much, which makes them no outliers.
-SCALE_FLOOR_PX = 0.06
 # No edge counts with more than this in the rms that families are compared by: what crosses the tube is not its shape.
 RMS_CAP_PX = 3.0
 ITERATIONS = 30
@@ -50,7 +48,8 @@ def misses(problem: Problem, nodes: Nodes, p: Array, near: Indices) -> tuple[Arr
     """Measure how far each ray misses the surface of a curve's tube, outwards, in pixels at that depth.
 
     The derivative of the distance by a parameter is the unit normal times the derivative of the nearest point: at the
-    nearest point its place on the curve does not matter.
+    nearest point its place on the curve does not matter. A ray of the tip's contour that passes it on the wrong side
+    has a negative distance.
 
     Parameters
     ----------
@@ -84,6 +83,9 @@ def misses(problem: Problem, nodes: Nodes, p: Array, near: Indices) -> tuple[Arr
     )
     off = w + t * shift[:, None] + k * (shift**2 / 2)[:, None]
     distance = np.sqrt((off * off).sum(1))
+    axis = problem.tip_axis[view]
+    outwards = d - (d * axis).sum(1, keepdims=True) * axis
+    distance = np.where(tip & ((off * outwards).sum(1) > 0), -distance, distance)
     to_px = problem.focal_px[view] / depth
     open_radius = p[-1] if problem.radius_open else 0.0
     ball = tip & np.isfinite(problem.tip_radius_mm)
@@ -130,12 +132,11 @@ def weights(problem: Problem, residual: Array) -> Array:
         if high == low:
             continue
         r = residual[low:high]
-        scale = max(1.4826 * float(np.median(np.abs(r))), SCALE_FLOOR_PX)
+        sd = problem.row_sd_px[row]
+        scale = max(1.4826 * float(np.median(np.abs(r))), sd)
         if scale > ROUGH_PX:
-            square = problem.row_sd_px[row] ** 2
-            weight[low:high] = square / (square + MODEL_SD_PX**2) / (1 + (r / (3 * scale + MODEL_SD_PX)) ** 2)
+            weight[low:high] = sd**2 / (sd**2 + MODEL_SD_PX**2) / (1 + (r / (3 * scale + MODEL_SD_PX)) ** 2)
         else:
-            scale = max(scale, problem.row_sd_px[row])
             weight[low:high] = np.clip(1 - (r / (TUKEY * scale)) ** 2, 0, None) ** 2
     return weight
 
