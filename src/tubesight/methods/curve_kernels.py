@@ -108,7 +108,8 @@ def pieces_chain(p: Array, chain: ChainArrays) -> None:
         share[k] = np.exp(p[2 * count + k])
         total += share[k]
     share[count - 1] = 1.0
-    share /= total
+    for k in range(count):
+        share[k] /= total
     for i in range(INTERVALS):
         piece = i // per_piece
         lengths[i] = share[piece] * p[size - 1] / per_piece
@@ -119,7 +120,7 @@ def pieces_chain(p: Array, chain: ChainArrays) -> None:
         for k in range(count - 1):
             d_lengths[i, 2 * count + k] = (1.0 if piece == k else 0.0) - share[k]
         d_lengths[i, size - 1] = 1 / p[size - 1]
-    curvature[0] = curvature[1]
+    curvature[0, 0], curvature[0, 1] = curvature[1, 0], curvature[1, 1]
 
 
 @compiled
@@ -128,8 +129,11 @@ def polynomial_chain(kind: int, p: Array, chain: ChainArrays) -> None:
     turns, lengths, curvature, skew, d_turns, d_lengths = chain
     size = len(p)
     length = p[size - 1]
-    turns[:], curvature[:] = 0.0, 0.0
     for i in range(INTERVALS + 1):
+        for k in range(2):
+            curvature[i, k] = 0.0
+            if i < INTERVALS:
+                turns[i, k] = 0.0
         if kind == SPATIAL:
             for j in range(size // 2):
                 for k in range(2):

@@ -9,19 +9,19 @@ from tubesight.core.kernels import compiled
 from tubesight.geometry.families import INTERVALS, Family, Nodes
 from tubesight.methods.curve_kernels import NodeArrays, empty_chain, empty_nodes
 from tubesight.methods.kernels import (
-    damped_step,
     factor,
     mixed_with_shifts,
     normal_equations,
     rms,
     shift_factors,
+    stepped,
     substitute,
     try_step,
     weights,
     without_shifts,
 )
 from tubesight.methods.rays import BIAS_PX, ROWS, Problem
-from tubesight.methods.solve import BLOCK_MM, CONVERGED_MM, DAMPING, NUISANCES, SHORTEST, SLOW, STEP_MAX
+from tubesight.methods.solve import BLOCK_MM, CONVERGED_MM, DAMPING, NUISANCES, SHORTEST, SLOW
 
 
 def fit(
@@ -29,7 +29,7 @@ def fit(
 ) -> tuple[Array, Nodes, Array, Array, Array, float]:
     """Twin of `tubesight.methods.solve.fit`."""
     p, nodes, residual, weight, jacobian, root = levenberg_marquardt(
-        problem, family.kind, family.count, p, prior, anchor, worth_px, steps
+        problem, family.kind, family.count, p.copy(), prior, anchor, worth_px, steps
     )
     return p, Nodes(*nodes), residual, weight, jacobian, root
 
@@ -38,7 +38,7 @@ def fit(
 def levenberg_marquardt(
     problem: Problem, kind: int, count: int, p: Array, prior: Array, anchor: Array, worth_px: float, steps: int
 ) -> tuple[Array, NodeArrays, Array, Array, Array, float]:
-    """Loop of `fit`; the last but one and the current state swap their arrays."""
+    """Loop of `fit`, which overwrites `p`; each step is tried in a second set of arrays."""
     n, size = len(problem.place), len(p)
     chain = empty_chain(count)
     nodes, other_nodes = empty_nodes(count), empty_nodes(count)
@@ -48,13 +48,15 @@ def levenberg_marquardt(
     a, weight = np.empty(n), np.empty(n)
     factors = np.empty((len(problem.focal_px), NUISANCES, NUISANCES))
     hessian, gradient = np.empty((size, size)), np.empty(size)
-    near = np.floor(problem.place * INTERVALS + 0.5).astype(np.int64)
+    near, there = np.empty(n, np.int64), np.empty(n, np.int64)
+    for i in range(n):
+        near[i] = int(problem.place[i] * INTERVALS + 0.5)
     end_off = try_step(problem, kind, count, p, chain, nodes, near, miss, jacobian, end)
     weights(problem, miss, weight)
     damping = DAMPING
     for _ in range(steps):
         shift_factors(problem, weight, a, factors)
-        cost = without_shifts(problem, miss, a, factors, residual) + end_off * end_off + (anchor * p * p).sum()
+        cost = without_shifts(problem, miss, a, factors, residual) + end_off * end_off + pull(anchor, p)
         for q in range(size):
             gradient[q] = end[q] * end_off + anchor[q] * p[q]
             for r in range(size):
@@ -63,15 +65,15 @@ def levenberg_marquardt(
         normal_equations(problem, jacobian, residual, a, factors, hessian, gradient)
         better = False
         for _ in range(8):
-            move = damped_step(hessian, gradient, damping)
-            trial = p - move * min(1.0, STEP_MAX / max(np.abs(move[: count - 1]).max(), 1e-9))
+            trial = stepped(p, hessian, gradient, damping, count)
             if trial[count - 1] > SHORTEST * p[count - 1]:
-                there = near.copy()
+                for i in range(n):
+                    there[i] = near[i]
                 trial_end = try_step(
                     problem, kind, count, trial, chain, other_nodes, there, other_miss, other_jacobian, other_end
                 )
                 trial_cost = without_shifts(problem, other_miss, a, factors, other_residual)
-                trial_cost += trial_end * trial_end + (anchor * trial * trial).sum()
+                trial_cost += trial_end * trial_end + pull(anchor, trial)
                 if trial_cost <= cost * (1 + 1e-9):
                     better = True
                     break
@@ -79,15 +81,43 @@ def levenberg_marquardt(
         if not better:
             break
         moved = movement(nodes, other_nodes)
-        p, end_off, near, damping = trial, trial_end, there, max(damping / 10, 1e-9)
-        nodes, other_nodes, miss, other_miss = other_nodes, nodes, other_miss, miss
-        jacobian, other_jacobian, end, other_end = other_jacobian, jacobian, other_end, end
+        end_off, damping = trial_end, max(damping / 10, 1e-9)
+        for q in range(size):
+            p[q], end[q] = trial[q], other_end[q]
+        for i in range(n):
+            near[i], miss[i] = there[i], other_miss[i]
+            for q in range(size):
+                jacobian[i, q] = other_jacobian[i, q]
+        keep(other_nodes, nodes)
         weights(problem, other_residual, weight)
         if moved < CONVERGED_MM or (trial_cost > SLOW * cost and rms(problem, other_residual) > worth_px):
             break
     shift_factors(problem, weight, a, factors)
     without_shifts(problem, miss, a, factors, residual)
     return p, nodes, residual, weight, jacobian, rms(problem, residual)
+
+
+@compiled
+def keep(there: NodeArrays, nodes: NodeArrays) -> None:
+    """Copy a curve that was tried over the current one."""
+    size = nodes[6].shape[1]
+    for i in range(INTERVALS + 1):
+        nodes[3][i] = there[3][i]
+        for q in range(size):
+            nodes[6][i, q] = there[6][i, q]
+        for c in range(3):
+            nodes[0][i, c], nodes[1][i, c], nodes[2][i, c] = there[0][i, c], there[1][i, c], there[2][i, c]
+            for q in range(size):
+                nodes[4][i, c, q], nodes[5][i, c, q] = there[4][i, c, q], there[5][i, c, q]
+
+
+@compiled
+def pull(anchor: Array, p: Array) -> float:
+    """Cost of parameters that are expected to be 0."""
+    cost = 0.0
+    for q in range(len(p)):
+        cost += anchor[q] * p[q] * p[q]
+    return cost
 
 
 @compiled
@@ -116,7 +146,7 @@ def sandwich(
     shift_factors(problem, weight, a, factors)
     mixed = np.empty((views, NUISANCES, size))
     mixed_with_shifts(problem, jacobian, a, mixed)
-    priors = known.copy()
+    priors, hessian = known.copy(), np.empty((size, size))
     for view in range(views):
         substitute(factors[view], mixed[view])
         for k in range(NUISANCES):
@@ -124,19 +154,31 @@ def sandwich(
             for q in range(size):
                 for r in range(size):
                     priors[q, r] += mixed[view, k, q] * mixed[view, k, r] / (sd * sd)
-    hessian = priors.copy()
+    for q in range(size):
+        for r in range(size):
+            hessian[q, r] = priors[q, r]
     together, independent = np.zeros((size, size)), np.zeros((size, size))
     blocks = gradients(problem, jacobian, residual, a, mixed, length_mm, hessian, together, independent)
-    together *= blocks / max(blocks - count, 1)
     factor(hessian)
-    inverse = np.eye(size)
+    inverse = np.zeros((size, size))
+    for q in range(size):
+        inverse[q, q] = 1.0
     substitute(hessian, inverse)
-    middle = priors
-    if (inverse * together).sum() > (inverse * independent).sum():
-        middle += together
-    else:
-        middle += independent
-    return inverse @ middle @ inverse
+    more, excess = blocks / max(blocks - count, 1), 0.0
+    for q in range(size):
+        for r in range(size):
+            excess += inverse[q, r] * (more * together[q, r] - independent[q, r])
+    for q in range(size):
+        for r in range(size):
+            priors[q, r] += more * together[q, r] if excess > 0 else independent[q, r]
+    substitute(hessian, priors)
+    # The middle is symmetric: the second inverse acts on the transposed product.
+    covariance = np.empty((size, size))
+    for q in range(size):
+        for r in range(size):
+            covariance[q, r] = priors[r, q]
+    substitute(hessian, covariance)
+    return covariance
 
 
 @compiled
@@ -164,7 +206,8 @@ def gradients(
             now = 0 if tip else int(np.floor(problem.place[i] * per_way))
             if now != block:
                 add_square(total, 1.0, together)
-                total[:] = 0.0
+                for q in range(size):
+                    total[q] = 0.0
                 block = now
                 blocks += 1
             u, v = problem.lobes[i, 0], problem.lobes[i, 1]

@@ -15,6 +15,7 @@ from tubesight.methods.solve import (
     NUISANCES,
     RMS_CAP_PX,
     ROUGH_PX,
+    STEP_MAX,
     TUKEY,
 )
 
@@ -97,7 +98,8 @@ def descend(points: Array, cx: float, cy: float, cz: float, dx: float, dy: float
 @compiled
 def end_miss(problem: Problem, nodes: NodeArrays, jacobian: Array) -> float:
     """Twin of `tubesight.methods.solve.end_miss`; writes the derivatives into `jacobian`."""
-    jacobian[:] = 0.0
+    for q in range(len(jacobian)):
+        jacobian[q] = 0.0
     if np.isnan(problem.end_mm[0]):
         return 0.0
     points, tangents, d_points = nodes[0], nodes[1], nodes[4]
@@ -110,6 +112,20 @@ def end_miss(problem: Problem, nodes: NodeArrays, jacobian: Array) -> float:
 
 
 @compiled
+def median_size(values: Array, low: int, high: int) -> float:
+    """Median of the absolute values from `low` to before `high`, by sorting them into place."""
+    count = high - low
+    ordered = np.empty(count)
+    for i in range(count):
+        value, at = abs(values[low + i]), i
+        while at > 0 and ordered[at - 1] > value:
+            ordered[at] = ordered[at - 1]
+            at -= 1
+        ordered[at] = value
+    return (ordered[(count - 1) // 2] + ordered[count // 2]) / 2  # type: ignore[no-any-return]
+
+
+@compiled
 def weights(problem: Problem, residual: Array, weight: Array) -> None:
     """Twin of `tubesight.methods.solve.weights`, written into `weight`."""
     for row in range(len(problem.row_sd_px)):
@@ -117,7 +133,7 @@ def weights(problem: Problem, residual: Array, weight: Array) -> None:
         if high == low:
             continue
         sd = problem.row_sd_px[row]
-        scale = max(1.4826 * np.median(np.abs(residual[low:high])), sd)
+        scale = max(1.4826 * median_size(residual, low, high), sd)
         for i in range(low, high):
             if scale > ROUGH_PX:
                 off = residual[i] / (3 * scale + MODEL_SD_PX)
@@ -283,12 +299,17 @@ def try_step(
 
 
 @compiled
-def damped_step(hessian: Array, gradient: Array, damping: float) -> Array:
-    """Levenberg-Marquardt step (P,) to be subtracted."""
-    lower = hessian.copy()
+def stepped(p: Array, hessian: Array, gradient: Array, damping: float, count: int) -> Array:
+    """Parameters (P,) after a Levenberg-Marquardt step, cut to `STEP_MAX`."""
+    lower, step = hessian.copy(), np.empty((len(gradient), 1))
     for q in range(len(lower)):
         lower[q, q] *= 1 + damping
+        step[q, 0] = gradient[q]
     factor(lower)
-    step = gradient.reshape((len(gradient), 1)).copy()
     substitute(lower, step)
-    return step[:, 0]
+    longest, trial = 1e-9, np.empty(len(p))
+    for q in range(count - 1):
+        longest = max(longest, abs(step[q, 0]))
+    for q in range(len(p)):
+        trial[q] = p[q] - step[q, 0] * min(1.0, STEP_MAX / longest)
+    return trial

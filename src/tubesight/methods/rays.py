@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -108,10 +109,10 @@ def collect(
         If a view holds a number that is not finite.
     """
     rows: list[tuple[Array, Array, Array]] = []
-    row_sd: list[float] = []
-    lobe_sd: list[float] = []
+    deviations: list[tuple[float, float]] = []
     counts = [0]
-    for name, view in views.items():
+    sight = optics(rig, tuple(views))
+    for rotation, (name, view) in zip(sight.rotation, views.items(), strict=True):
         tip = view.tip
         contour = _used_contour(view, tube)
         rows.append(
@@ -121,27 +122,27 @@ def collect(
                 _plain(tip.px),
                 _plain(contour),
                 unprojected(rig.cameras[name], contour),
-                _plain(rig.camera_from_base[name].rotation),
+                rotation,
                 _ROW_MAX,
             )
         )
         count = min(len(view.edges_px), _ROW_MAX)
         counts += [count, count, len(contour)]
-        left, right = view.edge_sd_px.tolist()
-        row_sd += [math.hypot(_EDGE_PX, r) for r in (left, right, max(tip.rms_px, (left + right) / 2))]
-        rough, doubt = (left, right, tip.rms_px), (*view.edge_doubt_px.tolist(), tip.doubt_px)
-        lobe_sd += [math.hypot(_ROW_PX, d + _ROW_SHARE * r) for d, r in zip(doubt, rough, strict=True)]
+        deviations += _deviations(view)
     direction, place, lobes = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-    if not math.isfinite(direction.sum() + place.sum() + lobes.sum() + sum(row_sd) + sum(lobe_sd)):
+    row_sd, lobe_sd = np.array(deviations).T.copy()
+    if not math.isfinite(direction.sum() + place.sum() + lobes.sum() + row_sd.sum() + lobe_sd.sum()):
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail="an edge of a view is not a finite number")
     return Problem(
         direction,
         place,
         lobes,
         np.array(counts).cumsum(),
-        np.array(row_sd),
-        np.array(lobe_sd),
-        *_cameras(views, rig),
+        row_sd,
+        lobe_sd,
+        sight.centre_mm,
+        sight.focal_px,
+        tip_axes(views, sight.rotation),
         np.array(start.rotation),
         np.array(start.translation_mm),
         radius_mm,
@@ -152,11 +153,37 @@ def collect(
     )
 
 
-def _cameras(views: Mapping[str, View], rig: Rig) -> tuple[Array, Array, Array]:
-    """Centres (V, 3), focal lengths (V,) and directions of the tips (V, 3), in the base frame."""
-    centres = np.stack([centre_of(rig.camera_from_base[n]) for n in views])
-    axes = np.stack([view.tip.axis @ rig.camera_from_base[n].rotation for n, view in views.items()])
-    return centres, np.array([rig.cameras[n].focal_px for n in views]), axes
+def _deviations(view: View) -> list[tuple[float, float]]:
+    """Deviation of the edges of each row of a view, and of the whole row, in pixels."""
+    left, right = view.edge_sd_px.tolist()
+    rough, doubt = (left, right, view.tip.rms_px), (*view.edge_doubt_px.tolist(), view.tip.doubt_px)
+    row_sd = [math.hypot(_EDGE_PX, r) for r in (left, right, max(view.tip.rms_px, (left + right) / 2))]
+    lobe_sd = [math.hypot(_ROW_PX, d + _ROW_SHARE * r) for d, r in zip(doubt, rough, strict=True)]
+    return list(zip(row_sd, lobe_sd, strict=True))
+
+
+class Optics(NamedTuple):
+    """What does not change from frame to frame: centres (V, 3), focal lengths (V,), rotations (V, 3, 3)."""
+
+    centre_mm: Array
+    focal_px: Array
+    rotation: Array
+
+
+@lru_cache(maxsize=8)
+def optics(rig: Rig, names: tuple[str, ...]) -> Optics:
+    """Gather the optics of the cameras of some views."""
+    poses = [rig.camera_from_base[name] for name in names]
+    return Optics(
+        np.stack([centre_of(pose) for pose in poses]),
+        np.array([rig.cameras[name].focal_px for name in names]),
+        np.stack([pose.rotation for pose in poses]),
+    )
+
+
+def tip_axes(views: Mapping[str, View], rotation: Array) -> Array:
+    """Directions (V, 3) of the tips' axes in the base frame; rotations (V, 3, 3) are ``camera_from_base``."""
+    return np.stack([view.tip.axis @ turn for view, turn in zip(views.values(), rotation, strict=True)])
 
 
 def centre_of(camera_from_base: Pose) -> Array:
@@ -167,12 +194,18 @@ def centre_of(camera_from_base: Pose) -> Array:
 def unprojected(camera: Camera, pixels: Array) -> Array:
     """Camera rays (N, 3) of pixels (N, 2): compiled for the usual lenses, `Camera.unproject` where that fails."""
     if COMPILED and camera.lens in ("brown", "rational"):
-        k = np.zeros(8)
-        k[: len(camera.distortion)] = camera.distortion
-        rays = ray_kernels.undistorted(_plain(pixels), _plain(camera.matrix), k)
-        if np.isfinite(rays.sum()):
+        rays = ray_kernels.undistorted(_plain(pixels), *_lens(camera))
+        if math.isfinite(rays.sum()):
             return rays
     return camera.unproject(pixels)
+
+
+@lru_cache(maxsize=64)
+def _lens(camera: Camera) -> tuple[Array, Array]:
+    """Matrix (3, 3) and coefficients (8,) of a camera with a brown or rational lens."""
+    k = np.zeros(8)
+    k[: len(camera.distortion)] = camera.distortion
+    return _plain(camera.matrix), k
 
 
 def _plain(values: Array) -> Array:

@@ -22,7 +22,7 @@ from tubesight.geometry.rig import Rig
 from tubesight.methods.agreement import base_of, flat_tip, triangulate_tip
 from tubesight.methods.fit import Fit, fit_family
 from tubesight.methods.ray_kernels import meeting_point
-from tubesight.methods.rays import ROWS, Problem, centre_of, collect
+from tubesight.methods.rays import ROWS, Problem, collect, optics, tip_axes
 from tubesight.methods.uncertainty import picture_covariance, rig_covariance
 from tubesight.vision.view import View
 
@@ -108,10 +108,8 @@ def _tip(views: Mapping[str, View], rig: Rig) -> Array:
     Unmeasurable
         If the axes do not meet.
     """
-    poses = [rig.camera_from_base[name] for name in views]
-    directions = np.stack([view.tip.axis @ pose.rotation for view, pose in zip(views.values(), poses, strict=True)])
-    centres = np.stack([centre_of(pose) for pose in poses])
-    point, miss_px = meeting_point(directions, centres, np.array([rig.cameras[name].focal_px for name in views]))
+    sight = optics(rig, tuple(views))
+    point, miss_px = meeting_point(tip_axes(views, sight.rotation), sight.centre_mm, sight.focal_px)
     return point if miss_px < _TIP_CERTAIN_PX else triangulate_tip(views, rig)
 
 
