@@ -17,7 +17,14 @@ _CONFIG: Any = numba.config
 _PACKAGE = Path(__file__).resolve().parents[1]
 # What compiled code depends on: numba looks at a function's own file only, not at what it calls or at constants from
 # elsewhere, so that each state of these files gets a folder of its own.
-_SOURCES = ("*/*kernels.py", "methods/solve.py", "methods/rays.py", "geometry/families.py")
+_SOURCES = (
+    "*/*kernels.py",
+    "methods/solve.py",
+    "methods/rays.py",
+    "geometry/families.py",
+    "geometry/lens.py",
+    "vision/*.py",
+)
 
 
 def _stamp() -> str:
@@ -64,3 +71,20 @@ def compiled(function: F) -> F:
         return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
     finally:
         _CONFIG.CACHE_DIR = before
+
+
+def part(function: F) -> F:
+    """Compile a function that only compiled ones call: without an entry from Python, which takes long to compile."""
+    return _part(function, "never")
+
+
+def short_part(function: F) -> F:
+    """Compile a short `part` as if it stood where it is called."""
+    return _part(function, "always")
+
+
+def _part(function: F, inline: str) -> F:
+    if not COMPILED:
+        return function
+    options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "inline": inline}
+    return cast(F, numba.njit(nogil=True, error_model="numpy", **options)(function))

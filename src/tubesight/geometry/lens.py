@@ -13,14 +13,16 @@ import numpy as np
 from tubesight.core import Array, Mask
 
 # Real lenses need 3 to 6 steps; points near the edge of the invertible region halve theirs a few times more.
-_NEWTON_STEPS = 30
+NEWTON_STEPS = 30
 # Residual on the image plane at which the iteration stops: some units in the last place of a coordinate of 1 to 10.
-_NEWTON_TOLERANCE = 1e-14
+NEWTON_TOLERANCE = 1e-14
 # Residual up to which a point counts as inverted: 1e-6 px at a focal length of 1000 px. Points without an inverse stay
 # orders of magnitude above it.
-_INVERTED = 1e-9
+INVERTED = 1e-9
 # Least determinant of the derivative inside the invertible region: there the picture is squeezed a million to one.
-_DETERMINANT_MIN = 1e-6
+DETERMINANT_MIN = 1e-6
+# Angle (86 degrees) up to which the guess of an equidistant lens is exact.
+ANGLE_MAX_RAD = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +112,8 @@ def _equidistant_jacobian(xy: Array, k: Array) -> Array:
 
 
 def _equidistant_guess(distorted_xy: Array) -> Array:
-    """Turn the angle |xy| into its tangent; past 1.5 rad (86 degrees) go on in proportion."""
-    angle = np.minimum(np.linalg.norm(distorted_xy, axis=-1, keepdims=True), 1.5)
+    """Turn the angle |xy| into its tangent; past 86 degrees go on in proportion."""
+    angle = np.minimum(np.linalg.norm(distorted_xy, axis=-1, keepdims=True), ANGLE_MAX_RAD)
     return np.asarray(distorted_xy * np.sinc(angle / np.pi) / np.cos(angle))
 
 
@@ -145,8 +147,8 @@ def undistort(model: LensModel, distorted_xy: Array, coefficients: Array) -> Arr
             xy = np.where(regular[..., None], xy, 0.0)
             step, _, error = _newton(model, xy, distorted_xy, coefficients)
         fraction = np.ones_like(error)
-        for _ in range(_NEWTON_STEPS):
-            if not (error > _NEWTON_TOLERANCE).any():
+        for _ in range(NEWTON_STEPS):
+            if not (error > NEWTON_TOLERANCE).any():
                 break
             trial = xy - fraction[..., None] * step
             trial_step, regular, trial_error = _newton(model, trial, distorted_xy, coefficients)
@@ -154,7 +156,7 @@ def undistort(model: LensModel, distorted_xy: Array, coefficients: Array) -> Arr
             xy, step = np.where(better[..., None], trial, xy), np.where(better[..., None], trial_step, step)
             error = np.where(better, trial_error, error)
             fraction = np.where(better, 1.0, fraction / 2)
-    return np.where((error < _INVERTED)[..., None], xy, np.nan)
+    return np.where((error < INVERTED)[..., None], xy, np.nan)
 
 
 def _newton(model: LensModel, xy: Array, distorted_xy: Array, coefficients: Array) -> tuple[Array, Mask, Array]:
@@ -165,5 +167,5 @@ def _newton(model: LensModel, xy: Array, distorted_xy: Array, coefficients: Arra
     u, v = residual[..., 0], residual[..., 1]
     step = np.stack([j[..., 1, 1] * u - j[..., 0, 1] * v, j[..., 0, 0] * v - j[..., 1, 0] * u], -1)
     # Past the fold one direction of the picture runs backwards (determinant), past a second one both do (trace).
-    regular = (determinant > _DETERMINANT_MIN) & (j[..., 0, 0] + j[..., 1, 1] > 0)
+    regular = (determinant > DETERMINANT_MIN) & (j[..., 0, 0] + j[..., 1, 1] > 0)
     return step / determinant[..., None], regular, np.hypot(u, v)

@@ -9,16 +9,17 @@ import numpy as np
 from tubesight.core import Array, Image, Status, Unmeasurable, readonly
 from tubesight.geometry.camera import Camera
 from tubesight.vision.edges import SPACING_PX, colour_profiles, left_of, measure_edges
+from tubesight.vision.pairs import find_pair
 from tubesight.vision.search import find_seed
 from tubesight.vision.signal import Signal
 from tubesight.vision.silhouette import choose
-from tubesight.vision.walker import Track, find_pair, measure, walk
+from tubesight.vision.walker import Track, measure, walk
 
 # Fewest scans that make a rod: 60 px of it.
 _SCANS_MIN = 10
 # An end nearer than this to the border of the picture is where the rod leaves it, widths.
 _BORDER_WIDTHS = 0.6
-# The contour of an end is looked for this far before and behind the last pair of edges, widths.
+# The contour of an end is looked for this far before and behind where the rod was lost, widths.
 _BEFORE_WIDTHS, _BEHIND_WIDTHS = 0.8, 1.2
 # Share of the width, to both sides of the middle, over which it is measured: beyond, it bends round with the rod.
 _FACE_WIDTHS = 0.4
@@ -42,6 +43,9 @@ class RodView:
         Name.
     edges_px
         (N, 2, 2) left and right edge of each scan, in order from one end to the other.
+    path_px
+        (M, 2) middles of the rod as far as it was followed, in the same order: shadows and rims near an end may hide
+        its edges.
     edge_rays
         (N, 2, 3) the same as undistorted unit rays.
     row_sd_px
@@ -54,6 +58,7 @@ class RodView:
 
     camera: str
     edges_px: Array
+    path_px: Array
     edge_rays: Array
     row_sd_px: Array
     blur_px: float
@@ -61,7 +66,8 @@ class RodView:
 
     def __post_init__(self) -> None:
         n = len(self.edges_px)
-        for name, shape in (("edges_px", (n, 2, 2)), ("edge_rays", (n, 2, 3)), ("row_sd_px", (2,))):
+        shapes = {"edges_px": (n, 2, 2), "path_px": (None, 2), "edge_rays": (n, 2, 3), "row_sd_px": (2,)}
+        for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 
     @property
@@ -74,6 +80,7 @@ class RodView:
         return replace(
             self,
             edges_px=self.edges_px[::-1, ::-1],
+            path_px=self.path_px[::-1],
             edge_rays=self.edge_rays[::-1, ::-1],
             row_sd_px=self.row_sd_px[::-1],
         )
@@ -110,12 +117,12 @@ def see_rod(name: str, image: Image, background: Image | None, camera: Camera, n
         raise Unmeasurable(Status.TOO_FEW_POINTS, name, f"{len(edges)} scans")
     rays = camera.unproject(edges)
     unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    return RodView(name, edges, unit, doubt, blur, signal)
+    return RodView(name, edges, track.middle_px, unit, doubt, blur, signal)
 
 
 def leaves_picture(view: RodView, camera: Camera) -> bool:
-    """Whether the rod's last pair of edges lies at the border of the picture."""
-    return not bool(camera.contains(view.edges_px[-1], _BORDER_WIDTHS * view.width_px).all())
+    """Whether the rod's end lies at the border of the picture."""
+    return not bool(camera.contains(view.path_px[-1:], (0.5 + _BORDER_WIDTHS) * view.width_px).all())
 
 
 def step_ahead(view: RodView, contour_px: Array) -> float:
@@ -155,16 +162,16 @@ def _mean_colour(
 
 
 def _last(view: RodView) -> tuple[Array, Array]:
-    """Middle (2,) of the last scan and unit way (2,) there."""
+    """Where the rod was lost (2,) and its unit way (2,) there."""
     middle = view.edges_px.mean(1)
     way = middle[-1] - middle[max(len(middle) - 10, 0)]
-    return middle[-1], way / np.linalg.norm(way)
+    return view.path_px[-1], way / np.linalg.norm(way)
 
 
 def end_contour(view: RodView) -> Array:
-    """Contour (K, 2) of the end after the rod's last pair of edges, pixels.
+    """Contour (K, 2) of the end where the rod was lost, pixels.
 
-    Profiles run along the rod on its face; the end is the strongest step of colour near the last pair of edges, then
+    Profiles run along the rod on its face; the end is the strongest step of colour there, then
     each profile's half level with the colours on both sides of it.
 
     Raises

@@ -11,7 +11,8 @@ This signal finds the tube; edges are measured with the colours just inside and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,11 +20,16 @@ from tubesight.core import Array, Image, readonly
 
 # sRGB to linear light (IEC 61966-2-1) for the 256 levels of a picture.
 _LEVELS = np.arange(256) / 255.0
-LINEAR_LIGHT = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4).astype(np.float32)
+LINEAR_LIGHT = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4)
 # Noise and texture of a picture in linear light; shares by which shading scales the colour of a tube (round, so lit
 # from dark to bright) and shadows that of a background.
-_NOISE = 0.02
-_SHADING_TUBE, _SHADING_CLOTH = 0.35, 0.25
+NOISE = 0.02
+SHADING_TUBE, SHADING_CLOTH = 0.35, 0.25
+
+
+def planes(image: Image) -> Image:
+    """View a picture (H, W) or (H, W, C), of any strides, as (H, W, C) without copying it."""
+    return image[:, :, None] if image.ndim == 2 else image
 
 
 def sample(image: Image, points_px: Array) -> Array:
@@ -41,20 +47,23 @@ def sample(image: Image, points_px: Array) -> Array:
     Array
         (..., C) with C = 1 for gray.
     """
-    height, width = image.shape[:2]
+    image = planes(image)
+    height, width, channels = image.shape
     x, y = points_px[..., 0], points_px[..., 1]
     inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
+    if not inside.any():
+        return np.full((*x.shape, channels), np.nan)
     x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
-    column, row = np.minimum(x.astype(np.intp), width - 2), np.minimum(y.astype(np.intp), height - 2)
+    column, row = x.astype(np.intp), y.astype(np.intp)
+    # On the last column and row the weight of the neighbour is zero: it is read from the same place.
+    right, below = np.minimum(column + 1, width - 1), np.minimum(row + 1, height - 1)
     u, v = (x - column)[..., None], (y - row)[..., None]
-
-    def corner(r: int, c: int) -> Array:
-        values = LINEAR_LIGHT[image[row + r, column + c]]
-        return np.asarray(values[..., None] if image.ndim == 2 else values)
-
-    top = corner(0, 0) * (1 - u) + corner(0, 1) * u
-    bottom = corner(1, 0) * (1 - u) + corner(1, 1) * u
+    top = LINEAR_LIGHT[image[row, column]] * (1 - u) + LINEAR_LIGHT[image[row, right]] * u
+    bottom = LINEAR_LIGHT[image[below, column]] * (1 - u) + LINEAR_LIGHT[image[below, right]] * u
     return np.where(inside[..., None], top * (1 - v) + bottom * v, np.nan)
+
+
+F = TypeVar("F", float, Array)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,15 +73,17 @@ class Signal:
     Attributes
     ----------
     image
-        The picture.
+        (H, W, C) the picture.
     tube, cloth
         (C,) colours in linear light; `cloth` stands for the background where there is no picture of it.
     background
-        The scene without the tube, or None.
+        (H, W, C) the scene without the tube, or None.
     gain
         (C,) brightness of the picture over that of the background picture.
     why
         Which segmenter this is and why, one sentence.
+    numbers
+        Tube, cloth and gain as triples in a row, filled up with zeros, and how far tube and cloth forgive shading.
     """
 
     image: Image
@@ -81,10 +92,18 @@ class Signal:
     background: Image | None
     gain: Array
     why: str
+    numbers: tuple[float, ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "image", planes(self.image))
+        if self.background is not None:
+            object.__setattr__(self, "background", planes(self.background))
         for name in ("tube", "cloth", "gain"):
             object.__setattr__(self, name, readonly(getattr(self, name), (None,), name))
+        triples = [[*getattr(self, name).tolist(), 0.0, 0.0][:3] for name in ("tube", "cloth", "gain")]
+        squares = [sum(c * c for c in triple) for triple in triples[:2]]
+        forgiven = [_forgiven(square, s) for square, s in zip(squares, (SHADING_TUBE, SHADING_CLOTH), strict=True)]
+        object.__setattr__(self, "numbers", (*triples[0], *triples[1], *triples[2], *forgiven))
 
     def colours(self, points_px: Array) -> tuple[Array, Array | None]:
         """Colours (..., C) at points (..., 2) and, where there is a picture of it, of the background behind them."""
@@ -96,12 +115,17 @@ class Signal:
         """Likeness to tube (...) at points (..., 2); NaN outside the picture."""
         colour, behind = self.colours(points_px)
         behind = self.cloth if behind is None else behind
-        from_tube = _distance(colour - self.tube, self.tube, _SHADING_TUBE)
-        from_cloth = _distance(colour - behind, behind, _SHADING_CLOTH)
+        from_tube = _distance(colour - self.tube, self.tube, SHADING_TUBE)
+        from_cloth = _distance(colour - behind, behind, SHADING_CLOTH)
         return from_cloth / (from_tube + from_cloth + 1.0)
 
 
 def _distance(off: Array, colour: Array, shading: float) -> Array:
     """Squared Mahalanobis distance (...) of deviations (..., C) from a colour (Sherman-Morrison)."""
-    along = (off * colour).sum(-1) ** 2 * shading**2
-    return np.asarray(((off * off).sum(-1) - along / (_NOISE**2 + shading**2 * (colour * colour).sum(-1))) / _NOISE**2)
+    along = (off * colour).sum(-1) ** 2 * _forgiven((colour * colour).sum(-1), shading)
+    return np.asarray(((off * off).sum(-1) - along) / NOISE**2)
+
+
+def _forgiven(square: F, shading: float) -> F:
+    """How far squared deviations along a colour, whose square this is, are forgiven as shading."""
+    return shading**2 / (NOISE**2 + shading**2 * square)

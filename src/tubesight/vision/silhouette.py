@@ -6,16 +6,20 @@ import numpy as np
 
 from tubesight.core import Array, Image, Status, Unmeasurable
 from tubesight.vision.edges import left_of
-from tubesight.vision.signal import Signal, sample
+from tubesight.vision.signal import LINEAR_LIGHT, Signal, planes, sample
 
 # Where the colours are learned, in widths of the tube: along its first piece, inside and beside it.
-_ALONG_WIDTHS = (0.4, 2.2)
-_INSIDE_WIDTHS, _BESIDE_WIDTHS = 0.25, (0.85, 1.9)
+ALONG_WIDTHS, ALONG_COUNT = (0.4, 2.2), 9
+INSIDE_WIDTHS, INSIDE_COUNT = 0.25, 3
+BESIDE_WIDTHS, BESIDE_COUNT = (0.85, 1.9), 4
+# Fewest samples a colour is learned from.
+SAMPLES_MIN = 12
 # Contrast in linear light under which tube and background cannot be told apart above a picture's noise.
 _CONTRAST_MIN = 0.012
 # Chromatic share of the contrast above which it is called a difference of colour.
 _COLOUR_SHARE = 0.25
-_GAIN_STRIDE = 16
+# The gain is the median of so many ratios in each direction, of pixels that are neither dark nor saturated.
+GAIN_GRID, GAIN_MIN_COUNT, LIT = 24, 50, (0.02, 0.95)
 
 
 def choose(image: Image, background: Image | None, start_px: Array, way: Array, width_px: float) -> Signal:
@@ -38,45 +42,64 @@ def choose(image: Image, background: Image | None, start_px: Array, way: Array, 
     Unmeasurable
         If nothing stands out there.
     """
-    s = np.linspace(*_ALONG_WIDTHS, 25) * width_px
-    left = left_of(way)
-    line = start_px + s[:, None] * way
+    colours = learn(image, background, start_px, way, width_px)
+    return signal_of(image, background, colours)
 
-    def band(low: float, high: float) -> Array:
-        offsets = np.linspace(low, high, 9) * width_px
-        return line[:, None, :] + offsets[:, None] * left
 
-    beside = np.concatenate([band(*_BESIDE_WIDTHS), band(-_BESIDE_WIDTHS[1], -_BESIDE_WIDTHS[0])], 1)
-    inside = band(-_INSIDE_WIDTHS, _INSIDE_WIDTHS)
-    tube = _middle_colour(sample(image, inside))
-    cloth = _middle_colour(sample(image, beside))
+def signal_of(image: Image, background: Image | None, colours: tuple[Array, Array, Array, float]) -> Signal:
+    """Choose the segmenter from colours that were learned (`learn`)."""
+    tube, cloth, gain, difference = colours
     if not (np.isfinite(tube).all() and np.isfinite(cloth).all()):
         raise Unmeasurable(Status.BASE_HIDDEN, detail="the first piece of the tube is not in the picture")
     if background is not None:
-        gain = _gain(image, background)
-        empty = sample(background, inside) * gain
-        if float(np.nanmedian(np.abs(sample(image, inside) - empty).max(-1))) < _CONTRAST_MIN:
+        if not difference >= _CONTRAST_MIN:
             raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="the picture equals its background at the base")
         return Signal(image, tube, cloth, background, gain, "background picture: there is one of this camera")
-    contrast = tube - cloth
-    if float(np.abs(contrast).max()) < _CONTRAST_MIN:
+    if max(abs(a - b) for a, b in zip(tube.tolist(), cloth.tolist(), strict=True)) < _CONTRAST_MIN:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="no contrast at the base")
-    return Signal(image, tube, cloth, None, np.ones_like(tube), _reason(tube, cloth))
+    return Signal(image, tube, cloth, None, gain, _reason(tube.tolist(), cloth.tolist()))
+
+
+def learn(
+    image: Image, background: Image | None, start_px: Array, way: Array, width_px: float
+) -> tuple[Array, Array, Array, float]:
+    """Learn the colours of the tube and of its surroundings where it starts.
+
+    Returns
+    -------
+    tube, cloth, gain, difference
+        (C,) colours in linear light, NaN where too little of the place is in the picture; (C,) brightness of the
+        picture over that of the background picture (1 without one); and how much they differ inside of the tube.
+    """
+    image = planes(image)
+    s = np.linspace(*ALONG_WIDTHS, ALONG_COUNT) * width_px
+    line = (start_px + s[:, None] * way)[:, None, :]
+    left = left_of(way) * width_px
+    inside = line + np.linspace(-INSIDE_WIDTHS, INSIDE_WIDTHS, INSIDE_COUNT)[:, None] * left
+    side = np.linspace(*BESIDE_WIDTHS, BESIDE_COUNT)[:, None] * left
+    now = sample(image, inside)
+    tube = _middle_colour(now)
+    cloth = _middle_colour(sample(image, np.concatenate([line + side, line - side], 1)))
+    if background is None:
+        return tube, cloth, np.ones_like(tube), float("nan")
+    gain = _gain(image, planes(background))
+    off = np.abs(now - sample(background, inside) * gain).max(-1)
+    off = off[np.isfinite(off)]
+    return tube, cloth, gain, float(np.median(off)) if len(off) else float("nan")
 
 
 def _middle_colour(samples: Array) -> Array:
     flat = samples.reshape(-1, samples.shape[-1])
     flat = flat[np.isfinite(flat).all(1)]
-    return np.median(flat, axis=0) if len(flat) >= 20 else np.full(samples.shape[-1], np.nan)
+    return np.median(flat, axis=0) if len(flat) >= SAMPLES_MIN else np.full(samples.shape[-1], np.nan)
 
 
-def _reason(tube: Array, cloth: Array) -> str:
-    if len(tube) == 3:
-        level = np.array([tube.mean(), cloth.mean()]) + 1e-3
-        chroma = np.abs(tube / level[0] - cloth / level[1]).max()
-        if chroma > _COLOUR_SHARE:
-            return "cloth colour: tube and surroundings differ in colour beside the base"
-    side = "bright tube on darker" if tube.mean() > cloth.mean() else "dark tube on brighter"
+def _reason(tube: list[float], cloth: list[float]) -> str:
+    one, other = sum(tube) / len(tube), sum(cloth) / len(cloth)
+    chroma = max(abs(a / (one + 1e-3) - b / (other + 1e-3)) for a, b in zip(tube, cloth, strict=True))
+    if len(tube) == 3 and chroma > _COLOUR_SHARE:
+        return "cloth colour: tube and surroundings differ in colour beside the base"
+    side = "bright tube on darker" if one > other else "dark tube on brighter"
     return f"contrast: {side} surroundings beside the base"
 
 
@@ -84,15 +107,11 @@ def _gain(image: Image, background: Image) -> Array:
     """Brightness (C,) of a picture over that of the background picture: median ratio over a coarse grid."""
     if image.shape != background.shape:
         raise ValueError(f"background picture: expected shape {image.shape}, got {background.shape}")
-    height, width = image.shape[:2]
-    grid = np.stack(np.meshgrid(np.arange(0, width, _GAIN_STRIDE), np.arange(0, height, _GAIN_STRIDE)), -1).astype(
-        float
-    )
-    now, empty = sample(image, grid), sample(background, grid)
-    lit = (empty > 0.02) & (empty < 0.95)
-    return np.array(
-        [
-            float(np.median((now / np.maximum(empty, 1e-6))[..., c][lit[..., c]])) if lit[..., c].sum() > 50 else 1.0
-            for c in range(now.shape[-1])
-        ]
-    )
+    rows, columns = ((2 * np.arange(GAIN_GRID) + 1) * n // (2 * GAIN_GRID) for n in image.shape[:2])
+    now, empty = LINEAR_LIGHT[image[np.ix_(rows, columns)]], LINEAR_LIGHT[background[np.ix_(rows, columns)]]
+    gain = np.ones(image.shape[2])
+    for c in range(image.shape[2]):
+        lit = (empty[..., c] > LIT[0]) & (empty[..., c] < LIT[1])
+        if lit.sum() > GAIN_MIN_COUNT:
+            gain[c] = np.median(now[..., c][lit] / empty[..., c][lit])
+    return gain

@@ -1,262 +1,287 @@
-"""The end of the tube: ball, rounded end or flat face."""
+"""Contours of the end of the tube: ball, rounded end or flat face."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from tubesight.core import Array, Status, Tip, Unmeasurable
-from tubesight.geometry.camera import Camera
-from tubesight.vision.edges import SPACING_PX, Edges, colour_profiles, left_of, measure_edges, profiles, steepest
+from tubesight.core import Array, Mask
+from tubesight.vision.edges import LINES_PX, colour_profiles, left_of, measure_edges, profiles, window
+from tubesight.vision.ending import FOUND
+from tubesight.vision.falls import grid, nearest_fall, spacing
+from tubesight.vision.fitting import solve
 from tubesight.vision.signal import Signal
-from tubesight.vision.view import TipView
 
-# Radial profiles around a ball: one every 5 degrees.
-_RADIALS = 72
+# What else may become of a tip (`Contour.outcome`).
+FAINT, RADIUS, NOT_ROUND = 3, 4, 5
+# Lines across the contour of a whole ball, of a rounded end and of a face.
+BALL_LINES, ROUND_LINES, FACE_LINES = 48, 31, 31
 # Rays of a rounded end are used this far to both sides of the way: its contour is half a circle.
-_ROUND_HALF_RAD = np.radians(85.0)
-# How far a ball's radius may be off its expectation, and the share of radials that have to find an edge.
-_RADIUS_OFF, _SEEN_MIN = 0.25, 0.4
-# Largest accepted rms of the contour about the model: a contour that is something else is off by a pixel and more.
-_RMS_MAX_PX = 1.0
-# End of the tube: its share falls below this part of its level.
-_SHARE = 0.5
+ROUND_HALF_RAD = float(np.radians(85.0))
+# Lines of a ball keep this far from the tube that carries it.
+NECK_RAD = float(np.radians(12.0))
+# The first sweep looks for the contour this far inside and outside of where it is expected, in radii, the second one
+# nearer: and so many pixels beyond. It is not needed where the first one moved the circle by less than this.
+SWEEPS = (0.5, 0.3)
+SWEEP_IN_PX, SWEEP_OUT_PX, NEAR_PX = 4.0, 10.0, 3.0
+# They use every so many-th line of a ball.
+ROUGH_EVERY = 2
+# Then edges are measured next to the model; again where it moved by more than this (at most so often).
+MOVED_PX, MEASURES = 0.75, 3
+# How far a ball's radius may be off its expectation, and the share of lines that have to find an edge.
+RADIUS_OFF, SEEN_MIN = 0.25, 0.4
+# Fewest edges of a contour.
+POINTS_MIN = 8
 # Fall of the tube's share under which an edge is noise.
-_DROP_MIN = 0.15
-# Contour points farther off the circle than this share of its radius (and half a pixel) belong to something else.
-_OFF_CIRCLE = 0.06
+DROP_MIN = 0.15
+# Contour points farther off the circle than this share of its radius (and half a pixel) belong to something else, or
+# farther than 4 robust deviations.
+OFF_CIRCLE, OFF_PX, OFF_SIGMAS = 0.06, 0.5, 4 * 1.4826
+# A circle is fitted by least absolute deviations first, which a third of outliers does not move, then trimmed.
+LEAST_ABSOLUTE, TRIMS = 4, 2
+# Points lie on a line where the determinant of their second moments is below this share of its largest value.
+ON_LINE = 1e-9
+# Edges of a rounded end count when they lie within this of it, in radii and pixels.
+OFF_ROUND, OFF_ROUND_PX = 0.5, 1.0
 # Share of the width to both sides of the middle over which a flat face is measured: beyond, its corners round it off.
-_FACE_WIDTHS = 0.42
+FACE_WIDTHS = 0.42
+# Fewest edges of a face.
+FACE_MIN = 10
+# A face's edges are trimmed at this, or 3 robust deviations.
+OFF_FACE_PX, FACE_SIGMAS, FACE_TRIMS = 0.3, 3 * 1.4826, 4
 
 
-def end_of_tube(
-    signal: Signal, camera: Camera, start_px: Array, way: Array, bend: float, width_px: float, reach_px: float
-) -> float:
-    """Distance from a place on the tube to its end, along its way.
+@dataclass(frozen=True, slots=True, eq=False)
+class Contour:
+    """Contour of the tip in a picture.
 
-    Parameters
+    Attributes
     ----------
-    start_px, way, bend
-        (2,) a place on the tube, its unit way there and the curvature of the way (1 / px, positive to the left).
-    width_px
-        Width of the tube.
-    reach_px
-        How far to look.
-
-    Raises
-    ------
-    Unmeasurable
-        If the tube leaves the picture before it ends, or does not end.
+    outcome
+        `FOUND`, or why there is none: `NO_END`, `BORDER` (the tube leaves the picture), `FAINT` (too few edges),
+        `RADIUS` (not of the expected size), `NOT_ROUND`.
+    points_px
+        (K, 2) edge points that fit the model.
+    middle_px, radius_px
+        (2,) and radius of circle or rounded end; the middle of a flat face, NaN.
+    rms_px, doubt_px
+        Root mean square distance of the points from the model, and how far they all may be off.
+    ball
+        Whether the contour is fitted as that of a ball (or of a rounded end whose way is not known).
+    seen
+        Share of a ball's lines whose edges fit.
     """
-    along = np.arange(-width_px, reach_px, SPACING_PX)
-    left = left_of(way)
-    sideways = np.linspace(-0.2, 0.2, 5) * width_px
-    path = start_px + along[:, None] * way + (bend * along**2 / 2)[:, None] * left
-    share = np.mean([signal(path + offset * left) for offset in sideways], axis=0)
-    level = float(np.nanmedian(share[along <= 0])) * _SHARE
-    inside = share >= level
-    quiet = max(int(0.5 * width_px / SPACING_PX), 4)
-    for k in np.flatnonzero(along > 0):
-        ahead = share[k : k + quiet]
-        if np.isnan(ahead).any():
-            if camera.contains(path[k], 2.0):
-                continue
-            raise Unmeasurable(Status.TIP_AT_BORDER)
-        if len(ahead) == quiet and not inside[k : k + quiet].any():
-            return float(along[k])
-    raise Unmeasurable(Status.TIP_NOT_FOUND, detail="the tube does not end")
+
+    outcome: int
+    points_px: Array
+    middle_px: Array
+    radius_px: float
+    rms_px: float
+    doubt_px: float
+    ball: bool
+    seen: float = 0.0
 
 
-def find_tip(
+def failed(outcome: int, radius: float = float("nan")) -> Contour:
+    """Make a contour without points."""
+    nan = float("nan")
+    return Contour(outcome, np.empty((0, 2)), np.full(2, nan), radius, nan, nan, False)
+
+
+def _fan(heading: Array, half: float, count: int) -> tuple[Array, Array]:
+    """Angles (N,) from the heading, and unit directions (N, 2)."""
+    angles = np.asarray(-half + 2 * half / (count - 1) * np.arange(float(count)))
+    return angles, np.cos(angles)[:, None] * heading + np.sin(angles)[:, None] * left_of(heading)
+
+
+def _rough(
+    signal: Signal, origins: Array, directions: Array, radius: float, sweep: int, blur_px: float, careful: bool = False
+) -> Array:
+    """Edges (N,) of a sweep on lines that start where the contour is expected; NaN where none stands out.
+
+    They are falls of the likeness to tube; carefully, each is then measured with the colours on both sides of it.
+    """
+    reach = SWEEPS[sweep] * radius
+    along = grid(-reach - SWEEP_IN_PX, reach + SWEEP_OUT_PX, spacing(2 * radius))
+    if not careful:
+        return nearest_fall(profiles(signal, origins, directions, along, (0.0,)), along, DROP_MIN)
+    guess = nearest_fall(profiles(signal, origins, directions, along), along, DROP_MIN)
+    return measure_edges(colour_profiles(signal, origins, directions, along, radius), guess, blur_px).position_px
+
+
+def _fine(
     signal: Signal,
-    camera: Camera,
-    tip: Tip,
-    start_px: Array,
-    way: Array,
-    bend: float,
-    width_px: float,
-    ball_ratio: float,
+    origins: Array,
+    directions: Array,
+    radius: float,
     blur_px: float,
-) -> TipView:
-    """Find the tip beyond a place near the end of the tube.
+    lines_px: tuple[float, ...] = LINES_PX,
+) -> tuple[Array, float]:
+    """Edges (N,) measured on lines that start on the model, and how far they all may be off."""
+    lines = colour_profiles(signal, origins, directions, window(blur_px, radius), radius, lines_px)
+    edges = measure_edges(lines, np.zeros(len(origins)), blur_px)
+    return edges.position_px, edges.doubt_px
+
+
+def ball(
+    signal: Signal,
+    centre_px: Array,
+    heading: Array,
+    expected: float,
+    half: float,
+    blur_px: float,
+    careful: bool,
+) -> Contour:
+    """Fit a circle to a ball's contour, starting from a rough centre.
 
     Parameters
     ----------
-    ball_ratio
-        Diameter of the ball over that of the tube (1 for a rounded end).
-    blur_px
-        Width of the picture's edges.
-
-    Raises
-    ------
-    Unmeasurable
-        If the end does not look like the tip that was announced.
+    centre_px, heading
+        (2,) rough centre, and the unit way of the tube there.
+    expected
+        Radius; the contour's has to be near to it.
+    half
+        Angle to both sides of the heading within which the contour is looked for.
+    careful
+        Whether the first sweeps measure edges already, where shading hides them from the likeness to tube.
     """
-    radius = ball_ratio * width_px / 2
-    end = end_of_tube(signal, camera, start_px, way, bend, width_px, 3 * width_px + 3 * radius)
-    heading = way + bend * end * left_of(way)
-    heading /= np.linalg.norm(heading)
-    end_px = start_px + end * way + bend * end**2 / 2 * left_of(way)
-    if tip.shape == "flat":
-        return _flat(signal, camera, end_px, heading, width_px, blur_px)
-    if tip.shape == "round" and ball_ratio == 1.0:
-        try:
-            return _round(signal, camera, end_px, heading, width_px / 2, blur_px)
-        except Unmeasurable:
-            # Near the end of a tube that turns towards the camera its way is not known; its round contour still is.
-            return _ball(signal, camera, end_px - radius * heading, heading, radius, _ROUND_HALF_RAD, blur_px)
-    half = np.pi - np.arcsin(min(1 / ball_ratio, 1.0)) - np.radians(12.0)
-    return _ball(signal, camera, end_px - radius * heading, heading, radius, half, blur_px)
+    angles, directions = _fan(heading, half, max(int(BALL_LINES * half / np.pi), 12))
+    needed = max(POINTS_MIN, SEEN_MIN * len(angles))
+    centre, radius, doubt, points = centre_px, expected, 0.0, np.empty((0, 2))
+    sweep = -1
+    for _ in range(len(SWEEPS) + MEASURES):
+        sweep += 1
+        origins = centre + radius * directions
+        rough = sweep < len(SWEEPS)
+        if rough:
+            position = np.full(len(angles), np.nan)
+            some = slice(None, None, ROUGH_EVERY)
+            position[some] = _rough(signal, origins[some], directions[some], expected, sweep, blur_px, careful)
+        else:
+            position, doubt = _fine(signal, origins, directions, radius, blur_px)
+            position = position + shrinkage(blur_px, radius)
+        points = (origins + directions * position[:, None])[np.isfinite(position)]
+        if len(points) < needed / (ROUGH_EVERY if rough else 1):
+            return failed(FAINT)
+        moved, new_radius, kept = _circle(points)
+        points = points[kept]
+        if not abs(new_radius / expected - 1) < (2 * RADIUS_OFF if sweep == 0 else RADIUS_OFF):
+            return failed(RADIUS, new_radius)
+        step = float(np.linalg.norm(moved - centre)) + abs(new_radius - radius)
+        centre, radius = moved, expected if rough and sweep + 1 < len(SWEEPS) else new_radius
+        if not rough and step < MOVED_PX:
+            break
+        if rough and step < NEAR_PX:
+            sweep, radius = len(SWEEPS) - 1, new_radius
+    if len(points) < SEEN_MIN * len(angles):
+        return failed(NOT_ROUND)
+    off = np.linalg.norm(points - centre, axis=1) - radius
+    return Contour(
+        FOUND, points, centre, radius, float(np.sqrt(np.mean(off**2))), doubt, True, len(points) / len(angles)
+    )
 
 
-def _ball(
-    signal: Signal, camera: Camera, centre: Array, heading: Array, radius: float, half: float, blur_px: float
-) -> TipView:
-    """Fit the cone of tangent rays to a ball's contour, starting from a rough centre."""
-    angles = np.linspace(-half, half, max(int(_RADIALS * half / np.pi), 12))
-    left = left_of(heading)
-    directions = np.cos(angles)[:, None] * heading + np.sin(angles)[:, None] * left
-    contour, doubt = np.empty((0, 2)), 0.0
-    for sweep in range(4):
-        # The first sweep looks far for a rough centre, the last ones near.
-        low, high = (0.5, 1.5) if sweep == 0 else (0.7, 1.3)
-        along = np.arange(low * radius - 4.0, high * radius + 10.0, SPACING_PX)
-        profile = profiles(signal, np.broadcast_to(centre, directions.shape), directions, along)
-        lines = colour_profiles(signal, np.broadcast_to(centre, directions.shape), directions, along, radius)
-        edges = measure_edges(lines, _outermost(profile, along, radius), blur_px)
-        position = _unshrunk(edges, radius, blur_px)
-        good = np.isfinite(position)
-        if good.sum() < max(8, _SEEN_MIN * len(angles)):
-            raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its contour does not stand out")
-        points = centre + directions * position[:, None]
-        new_centre, new_radius, kept = _circle(points[good])
-        contour, doubt = points[good][kept], edges.doubt_px
-        if not abs(new_radius / radius - 1) < (2 * _RADIUS_OFF if sweep == 0 else _RADIUS_OFF):
-            raise Unmeasurable(
-                Status.TIP_NOT_FOUND, detail=f"radius {new_radius:.1f} px where {radius:.1f} were expected"
-            )
-        centre = new_centre
-    if len(contour) < _SEEN_MIN * len(angles):
-        raise Unmeasurable(Status.TIP_NOT_FOUND, detail="too little of its contour is round")
-    return _cone_of_tangents(camera, contour, doubt)
-
-
-def _round(signal: Signal, camera: Camera, end_px: Array, heading: Array, radius: float, blur_px: float) -> TipView:
+def round_end(signal: Signal, centre_px: Array, heading: Array, radius: float, blur_px: float) -> Contour:
     """Centre of a rounded end: on the way of the tube, one radius behind its contour.
 
-    The width and the way are those of the tube's edges; only the place along the way is taken from the end's contour,
-    from as much of it on the lit as on the shaded side.
+    `centre_px` is a rough one. The width and the way are those of the tube's edges; only the place along the way is
+    taken from the end's contour, from as much of it on the lit as on the shaded side.
     """
-    angles = np.linspace(-_ROUND_HALF_RAD, _ROUND_HALF_RAD, 41)
-    directions = np.cos(angles)[:, None] * heading + np.sin(angles)[:, None] * left_of(heading)
-    along = np.arange(0.4 * radius - 4.0, 1.6 * radius + 10.0, SPACING_PX)
-    place = -radius
-    contour, off = np.empty((0, 2)), np.empty(0)
-    for _ in range(4):
-        centre = end_px + place * heading
-        origins = np.broadcast_to(centre, directions.shape)
-        profile = profiles(signal, origins, directions, along)
-        lines = colour_profiles(signal, origins, directions, along, radius)
-        edges = measure_edges(lines, _outermost(profile, along, radius), blur_px)
-        position = _unshrunk(edges, radius, blur_px)
-        off = position - radius
-        pairs = np.isfinite(off) & np.isfinite(off[::-1]) & (np.abs(off) < 0.5 * radius + 1)
-        pairs &= pairs[::-1]
-        if pairs.sum() < _SEEN_MIN * len(angles):
-            raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its contour does not stand out")
-        contour = (centre + directions * position[:, None])[pairs]
-        weight = np.cos(angles[pairs])
-        shift = float(weight @ off[pairs] / (weight @ weight))
-        off = off[pairs] - shift * weight
-        place += shift
-    rms = float(np.sqrt(np.mean(off**2)))
-    if rms > _RMS_MAX_PX + 0.05 * radius:
-        raise Unmeasurable(Status.TIP_NOT_FOUND, detail=f"its end is not round (rms {rms:.1f} px)")
-    px = end_px + place * heading
-    ray = camera.unproject(px)
-    angle = float(np.arctan(radius / camera.focal_px / np.linalg.norm(ray)))
-    return TipView(ray / np.linalg.norm(ray), px, angle, contour, rms, edges.doubt_px)
+    angles, directions = _fan(heading, ROUND_HALF_RAD, ROUND_LINES)
+    centre, doubt, points, rest = centre_px, 0.0, np.empty((0, 2)), np.empty(0)
+    for sweep in range(len(SWEEPS) + MEASURES):
+        origins = centre + radius * directions
+        if sweep < len(SWEEPS):
+            off = _rough(signal, origins, directions, radius, sweep, blur_px)
+        else:
+            off, doubt = _fine(signal, origins, directions, radius, blur_px)
+            off = off + shrinkage(blur_px, radius)
+        good: Mask = np.asarray(np.abs(off) < OFF_ROUND * radius + OFF_ROUND_PX)
+        good = good & good[::-1]
+        if good.sum() < SEEN_MIN * len(angles):
+            return failed(FAINT)
+        points = (origins + directions * off[:, None])[good]
+        weight = np.cos(angles[good])
+        shift = float(weight @ off[good] / (weight @ weight))
+        rest = off[good] - shift * weight
+        centre = centre + shift * heading
+        if sweep >= len(SWEEPS) and abs(shift) < MOVED_PX:
+            break
+    return Contour(FOUND, points, centre, radius, float(np.sqrt(np.mean(rest**2))), doubt, False)
 
 
-def _unshrunk(edges: Edges, radius: float, blur_px: float) -> Array:
-    """Undo the blur of a disc: a Gaussian of sigma moves its half level inwards by sigma^2 / (2 radius)."""
-    return np.asarray(edges.position_px + blur_px**2 / (2 * radius))
+def shrinkage(blur_px: float, radius: float) -> float:
+    """How far the blur of a disc, a Gaussian of sigma, moves its half level inwards: sigma^2 / (2 radius)."""
+    return blur_px**2 / (2 * radius)
 
 
-def _outermost(profile: Array, along: Array, radius: float) -> Array:
-    """Place (N,) of the fall nearest the expected radius, among the strong ones of each profile."""
-    smooth, slope = steepest(profile, along)
-    reach = int(3.0 / SPACING_PX)
-    padded = np.pad(smooth, ((0, 0), (reach, reach)), mode="edge")
-    falls = padded[:, : -2 * reach] - padded[:, 2 * reach :] > _DROP_MIN
-    strong = (slope >= 0.5 * slope.max(1, keepdims=True)) & falls
-    peak = np.zeros_like(strong)
-    peak[:, 1:-1] = strong[:, 1:-1] & (slope[:, 1:-1] > slope[:, :-2]) & (slope[:, 1:-1] >= slope[:, 2:])
-    distance = np.where(peak, np.abs(along - radius), np.inf)
-    best = distance.argmin(1)
-    return np.where(np.isfinite(distance.min(1)), along[best], np.nan)
-
-
-def _circle(points: Array) -> tuple[Array, float, Array]:
-    """Circle through points (N, 2), trimmed: centre, radius, mask of the points kept."""
-    keep = np.ones(len(points), dtype=bool)
-    centre, radius = points.mean(0), 0.0
-    for _ in range(5):
-        p = points[keep]
-        solution = np.linalg.lstsq(np.column_stack([2 * p, np.ones(len(p))]), (p * p).sum(1), rcond=None)[0]
+def _circle(points: Array) -> tuple[Array, float, Mask]:
+    """Circle through points (N, 2), trimmed: centre, radius (NaN for points on a line), mask of the points kept."""
+    middle = points.mean(0)
+    p = points - middle
+    design, right = np.column_stack([2 * p, np.ones(len(p))]), (p * p).sum(1)
+    weight = np.ones(len(points))
+    centre, radius, keep = middle, 0.0, weight > 0
+    for k in range(LEAST_ABSOLUTE + TRIMS):
+        if _on_line(2 * p, weight):
+            return middle, float("nan"), keep
+        solution = solve(design, right, weight)
         centre = solution[:2]
         radius = float(np.sqrt(max(solution[2] + centre @ centre, 0.0)))
-        off = np.abs(np.linalg.norm(points - centre, axis=1) - radius)
-        keep = off <= np.clip(4 * 1.4826 * float(np.median(off)), 0.5, 0.5 + _OFF_CIRCLE * radius)
-    return centre, radius, keep
+        off = np.abs(np.linalg.norm(p - centre, axis=1) - radius)
+        keep = off <= np.clip(OFF_SIGMAS * float(np.median(off)), OFF_PX, OFF_PX + OFF_CIRCLE * radius)
+        weight = 1 / np.maximum(off, OFF_PX) if k < LEAST_ABSOLUTE else keep.astype(float)
+    return middle + centre, radius, keep
 
 
-def _cone_of_tangents(camera: Camera, contour: Array, doubt_px: float) -> TipView:
-    """Fit the circular cone of unit rays u that touch a ball: ``u . a = 1``, the axis is ``a / |a|``."""
-    rays = camera.unproject(contour)
-    unit = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    keep = np.isfinite(unit).all(1)
-    a = np.zeros(3)
-    off_px = np.zeros(len(contour))
-    for _ in range(4):
-        a = np.linalg.lstsq(unit[keep], np.ones(int(keep.sum())), rcond=None)[0]
-        size = float(np.linalg.norm(a))
-        if not size > 1:
-            raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its contour is not round")
-        angle = np.arccos(1 / size)
-        off_px = (np.arccos(np.clip(unit @ a / size, -1, 1)) - angle) * camera.focal_px
-        scale = 1.4826 * float(np.median(np.abs(off_px[keep])))
-        keep = np.abs(off_px) <= max(0.2, 3.0 * scale)
-    rms = float(np.sqrt(np.mean(off_px[keep] ** 2)))
-    if rms > _RMS_MAX_PX:
-        raise Unmeasurable(Status.TIP_NOT_FOUND, detail=f"its contour is not round (rms {rms:.1f} px)")
-    axis = a / np.linalg.norm(a)
-    return TipView(axis, camera.project(axis), float(np.arccos(1 / np.linalg.norm(a))), contour[keep], rms, doubt_px)
+def _on_line(points: Array, weight: Array) -> bool:
+    """Whether no circle can be told from weighted points (N, 2)."""
+    centred = points - weight @ points / weight.sum()
+    moments = centred.T @ (weight[:, None] * centred)
+    determinant = moments[0, 0] * moments[1, 1] - moments[0, 1] ** 2
+    return not determinant > ON_LINE * max(float(np.trace(moments)), 1.0) ** 2
 
 
-def _flat(signal: Signal, camera: Camera, end_px: Array, heading: Array, width_px: float, blur_px: float) -> TipView:
-    """Middle of a flat end face: its contour is half an ellipse, ``a(d) = a0 + bulge sqrt(1 - (2 d / width)^2)``."""
-    left = left_of(heading)
-    offsets = np.linspace(-_FACE_WIDTHS, _FACE_WIDTHS, 31)
-    origins = end_px + offsets[:, None] * width_px * left
-    along = np.arange(-0.6 * width_px - 6.0, 0.6 * width_px + 10.0, SPACING_PX)
-    profile = profiles(signal, origins, np.broadcast_to(heading, origins.shape), along)
-    lines = colour_profiles(signal, origins, np.broadcast_to(heading, origins.shape), along, width_px / 2, (0.0,))
-    edges = measure_edges(lines, _outermost(profile, along, 0.0), blur_px)
-    good = np.isfinite(edges.position_px)
-    if good.sum() < 10:
-        raise Unmeasurable(Status.TIP_NOT_FOUND, detail="its end face does not stand out")
-    place, d = edges.position_px[good], offsets[good]
+def face(signal: Signal, end_px: Array, heading: Array, width_px: float, blur_px: float) -> Contour:
+    """Middle of a flat end face: its contour is half an ellipse, ``a(d) = a0 + bulge sqrt(1 - 4 d^2) + tilt d``.
+
+    d is the distance from the middle, in widths.
+    """
+    d = -FACE_WIDTHS + 2 * FACE_WIDTHS / (FACE_LINES - 1) * np.arange(FACE_LINES)
     design = np.stack([np.ones_like(d), np.sqrt(1 - (2 * d) ** 2), d], 1)
-    keep = np.ones(len(d), dtype=bool)
-    solution = np.zeros(3)
-    for _ in range(4):
-        solution = np.linalg.lstsq(design[keep], place[keep], rcond=None)[0]
-        off = np.abs(place - design @ solution)
-        keep = off <= max(0.3, 3 * 1.4826 * float(np.median(off[keep])))
-    rms = float(np.sqrt(np.mean((place - design @ solution)[keep] ** 2)))
-    if rms > _RMS_MAX_PX or keep.sum() < 10:
-        raise Unmeasurable(Status.TIP_NOT_FOUND, detail=f"its end face is not flat (rms {rms:.1f} px)")
-    middle = end_px + heading * solution[0]
-    ray = camera.unproject(middle)
-    contour = (origins[good] + heading * place[:, None])[keep]
-    return TipView(ray / np.linalg.norm(ray), middle, float("nan"), contour, rms, edges.doubt_px)
+    origins = end_px + d[:, None] * width_px * left_of(heading)
+    directions = np.broadcast_to(heading, origins.shape)
+    place = _rough(signal, origins, directions, width_px / 2, 0, blur_px)
+    model, keep = _fit_face(design, place)
+    doubt = 0.0
+    for _ in range(MEASURES):
+        if keep.sum() < FACE_MIN:
+            return failed(FAINT)
+        start = design @ model
+        off, doubt = _fine(signal, origins + directions * start[:, None], directions, width_px / 2, blur_px, (0.0,))
+        place = start + off
+        moved, keep = _fit_face(design, place)
+        step = float(np.abs(design @ (moved - model)).max())
+        model = moved
+        if step < MOVED_PX:
+            break
+    if keep.sum() < FACE_MIN:
+        return failed(FAINT)
+    rms = float(np.sqrt(np.mean((place - design @ model)[keep] ** 2)))
+    contour = (origins + directions * place[:, None])[keep]
+    return Contour(FOUND, contour, end_px + heading * model[0], float("nan"), rms, doubt, False)
+
+
+def _fit_face(design: Array, place: Array) -> tuple[Array, Mask]:
+    """Fit a face's model (3,) to places (N,), trimmed; the places kept (none where there are too few)."""
+    keep: Mask = np.isfinite(place)
+    model = np.zeros(3)
+    for _ in range(FACE_TRIMS):
+        if keep.sum() < FACE_MIN:
+            return model, np.zeros(len(place), dtype=bool)
+        used = design[keep]
+        model = solve(used, place[keep])
+        off = np.abs(place - design @ model)
+        keep = off <= max(OFF_FACE_PX, FACE_SIGMAS * float(np.median(off[keep])))
+    return model, keep

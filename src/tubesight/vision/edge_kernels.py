@@ -1,0 +1,309 @@
+"""Compiled twins: measuring edges (`edges`). Same names, same numbers.
+
+Lines are rows (x, y) of their origins and directions; a window (low, step, L) gives the places of their samples.
+Colours are triples (N, L, 3), as in `kernels`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tubesight.core import Array
+from tubesight.core.kernels import part, short_part
+from tubesight.vision import edges
+from tubesight.vision.kernels import Picture, light
+from tubesight.vision.math_kernels import Count, median
+
+ROOT_2_PI = float(np.sqrt(2 * np.pi))
+LUMA, RED_BLUE = edges.metric(3, 0.0), edges.metric(3, 1.0) - edges.metric(3, 0.0)
+
+
+@short_part
+def clear_of_edge(sigma: float) -> tuple[float, float]:
+    """Twin of `edges.clear_of_edge`."""
+    return (
+        max(edges.INSIDE_PX, edges.INSIDE_SIGMAS * (sigma - edges.SHARP_PX)),
+        max(edges.OUTSIDE_PX, edges.OUTSIDE_SIGMAS * sigma),
+    )
+
+
+@short_part
+def window(blur: float, depth: float) -> tuple[float, int]:
+    """Twin of `edges.window`: the first place and the number of samples."""
+    inside, outside = clear_of_edge(blur)
+    low = max(-(inside + edges.HIGH_PX + edges.DEEPER_PX + edges.SLACK_PX), -depth)
+    return low, int((outside + edges.LOW_PX + edges.SLACK_PX - low) / edges.SPACING_PX) + 2
+
+
+@part
+def colour_profiles(
+    picture: Picture, origin: Array, way: Array, every: Count, low: float, step: float, count: int, apart: float
+) -> tuple[Array, Array]:
+    """Twin of `edges.colour_profiles` on every so many-th line: colours of the picture, and of the empty scene.
+
+    The samples are the mean of two lines at a distance to both sides, or of one (0).
+    """
+    image, scene, colours = picture
+    rows = (len(origin) + every - 1) // every
+    with_scene = scene.shape[0] > 0
+    colour, behind = np.empty((rows, count, 3)), np.empty((rows if with_scene else 0, count, 3))
+    for n in range(rows):
+        x, y, dx, dy = origin[n * every, 0], origin[n * every, 1], way[n * every, 0], way[n * every, 1]
+        for k in range(count):
+            a = low + step * k
+            px, py = x + a * dx, y + a * dy
+            r, g, b = light(image, px - apart * dy, py + apart * dx)
+            if apart > 0:
+                u, v, w = light(image, px + apart * dy, py - apart * dx)
+                r, g, b = (r + u) / 2, (g + v) / 2, (b + w) / 2
+            colour[n, k, 0], colour[n, k, 1], colour[n, k, 2] = r, g, b
+            if with_scene:
+                r, g, b = light(scene, px - apart * dy, py + apart * dx)
+                if apart > 0:
+                    u, v, w = light(scene, px + apart * dy, py - apart * dx)
+                    r, g, b = (r + u) / 2, (g + v) / 2, (b + w) / 2
+                behind[n, k, 0], behind[n, k, 1], behind[n, k, 2] = r * colours[6], g * colours[7], b * colours[8]
+    return colour, behind
+
+
+@part
+def interpolate(rows: Array, n: int, low: float, step: float, place: float) -> float:
+    """Twin of `edges.interpolate` for one place on row n of (N, L)."""
+    position = (place - low) / step
+    last = rows.shape[1] - 1
+    if not (position >= 0 and position <= last):
+        return np.nan
+    left = min(int(position), last - 1)
+    t = position - left
+    return float(rows[n, left] * (1 - t) + rows[n, left + 1] * t)
+
+
+@part
+def mean_between(rows: Array, n: int, low: float, step: float, first: float, last: float) -> float:
+    """Twin of `edges._mean_between` for row n of (N, L)."""
+    total: float = 0.0
+    for k in range(edges.PLATEAU_SAMPLES):
+        total += interpolate(rows, n, low, step, first + k * (last - first) / (edges.PLATEAU_SAMPLES - 1))
+    return total / edges.PLATEAU_SAMPLES
+
+
+@part
+def mean_colour(colour: Array, n: int, low: float, step: float, first: float, last: float, out: Array) -> None:
+    """Mean colour of row n between two places, into row n of `out` (N, 3)."""
+    end = colour.shape[1] - 1
+    r = g = b = 0.0
+    for k in range(edges.PLATEAU_SAMPLES):
+        position = (first + k * (last - first) / (edges.PLATEAU_SAMPLES - 1) - low) / step
+        if not (position >= 0 and position <= end):
+            r = g = b = np.nan
+            break
+        left = min(int(position), end - 1)
+        t = position - left
+        r += colour[n, left, 0] * (1 - t) + colour[n, left + 1, 0] * t
+        g += colour[n, left, 1] * (1 - t) + colour[n, left + 1, 1] * t
+        b += colour[n, left, 2] * (1 - t) + colour[n, left + 1, 2] * t
+    samples = edges.PLATEAU_SAMPLES
+    out[n, 0], out[n, 1], out[n, 2] = r / samples, g / samples, b / samples
+
+
+@part
+def running_median(values: Array, column: Count) -> None:
+    """Twin of `edges._running_median` for one column of (N, C), in place."""
+    count = len(values)
+    half = min(edges.NEIGHBOURS, count - 1)
+    source, near = np.empty(count), np.empty(2 * edges.NEIGHBOURS + 1)
+    for n in range(count):
+        source[n] = values[n, column]
+    for n in range(count):
+        found = 0
+        for k in range(n - half, n + half + 1):
+            m = abs(k)
+            m = 2 * (count - 1) - m if m >= count else m
+            value = source[m]
+            if not np.isnan(value):
+                j = found
+                while j > 0 and near[j - 1] > value:
+                    near[j] = near[j - 1]
+                    j -= 1
+                near[j] = value
+                found += 1
+        values[n, column] = 0.5 * (near[(found - 1) // 2] + near[found // 2]) if found > 0 else np.nan
+
+
+@part
+def both_sides(colour: Array, low: float, step: float, edge: Array, sigma: float, gray: bool) -> tuple[Array, Array]:
+    """Twin of `edges.both_sides`: colours (N, 3) of tube and cloth."""
+    inside, outside = clear_of_edge(sigma)
+    rows = len(colour)
+    tube, cloth = np.empty((rows, 3)), np.empty((rows, 3))
+    for n in range(rows):
+        e = edge[n]
+        mean_colour(colour, n, low, step, e - inside - edges.HIGH_PX, e - inside, tube)
+        mean_colour(colour, n, low, step, e + outside, e + outside + edges.LOW_PX, cloth)
+    for c in range(1 if gray else 3):
+        running_median(tube, c)
+        running_median(cloth, c)
+    return tube, cloth
+
+
+@part
+def local_share(
+    colour: Array, behind: Array, tube: Array, cloth: Array, chroma: float, gray: bool, share: Array
+) -> None:
+    """Twin of `edges.local_share`; writes the share (N, L)."""
+    rows, count, _ = colour.shape
+    scene, weight = len(behind) > 0, chroma * chroma
+    r = g = b = wr = wg = wb = 0.0
+    for n in range(rows):
+        for k in range(count):
+            if k == 0 or scene:
+                r, g, b = cloth[n, 0], cloth[n, 1], cloth[n, 2]
+                if scene:
+                    r, g, b = behind[n, k, 0], behind[n, k, 1], behind[n, k, 2]
+                u, v, w = tube[n, 0] - r, tube[n, 1] - g, tube[n, 2] - b
+                wr, wg, wb = u, v, w
+                if not gray:
+                    wr = wg = wb = 0.0
+                    for d, off in ((0, u), (1, v), (2, w)):
+                        wr += (LUMA[0, d] + weight * RED_BLUE[0, d]) * off
+                        wg += (LUMA[1, d] + weight * RED_BLUE[1, d]) * off
+                        wb += (LUMA[2, d] + weight * RED_BLUE[2, d]) * off
+                power = max(wr * u + wg * v + wb * w, edges.POWER_MIN)
+                wr, wg, wb = wr / power, wg / power, wb / power
+            share[n, k] = (colour[n, k, 0] - r) * wr + (colour[n, k, 1] - g) * wg + (colour[n, k, 2] - b) * wb
+
+
+@part
+def half_level(
+    share: Array, n: int, low: float, step: float, position: float, high: float, sigma: float, rise: float
+) -> tuple[float, float]:
+    """Twin of `edges._half_level` for row n of (N, L), with the plateau inside: crossing and fall."""
+    inside, outside = clear_of_edge(sigma)
+    ground = mean_between(share, n, low, step, position + outside, position + outside + edges.LOW_PX)
+    drop = high - rise * (inside + edges.HIGH_PX / 2) - ground
+    if not drop > 0:
+        return np.nan, np.nan
+    level = ground + drop / 2 + rise * sigma / ROOT_2_PI
+    reach = max(2.0, 2.5 * sigma)
+    best, nearest = np.nan, np.inf
+    first = max(int((position - reach - low) / step) - 1, 0)
+    last = min(int((position + reach - low) / step) + 2, share.shape[1] - 1)
+    for k in range(first, last):
+        above, below = share[n, k] - level, share[n, k + 1] - level
+        if above >= 0 and below < 0:
+            place = low + step * k + step * above / (above - below)
+            off = abs(place - position)
+            if off <= reach and off < nearest:
+                best, nearest = place, off
+    return best, drop
+
+
+@part
+def apart(a: Array, b: Array) -> float:
+    """Twin of `edges._apart`."""
+    off, found = np.empty(len(a)), np.int64(0)
+    for n in range(len(a)):
+        if np.isfinite(a[n]) and np.isfinite(b[n]):
+            off[found] = a[n] - b[n]
+            found += 1
+    return abs(median(off, found)) if found > 0 and found >= 0.3 * len(a) else 1.0
+
+
+@part
+def scatter(position: Array) -> float:
+    """Twin of `edges._scatter`."""
+    found, values = np.int64(0), np.empty(len(position))
+    for n in range(len(position)):
+        if np.isfinite(position[n]):
+            values[found] = position[n]
+            found += 1
+    if found < 5:
+        return np.inf
+    for n in range(found - 2):
+        values[n] = abs(values[n + 2] - 2 * values[n + 1] + values[n])
+    return median(values, found - 2) + (len(position) - found) / len(position)
+
+
+@part
+def measure_way(
+    share: Array, low: float, step: float, guess: Array, blur: float, passes: int, position: Array, drop: Array
+) -> None:
+    """Twin of `edges._measure`: writes positions and drops (N,)."""
+    rows = len(share)
+    inside, _ = clear_of_edge(blur)
+    rise, high = np.empty((rows, 1)), np.empty(rows)
+    for n in range(rows):
+        position[n] = guess[n]
+    for _ in range(passes):
+        for n in range(rows):
+            first = position[n] - inside
+            deep = first - edges.DEEPER_PX
+            high[n] = mean_between(share, n, low, step, first - edges.HIGH_PX, first)
+            rise[n, 0] = (mean_between(share, n, low, step, deep - edges.HIGH_PX, deep) - high[n]) / edges.DEEPER_PX
+        running_median(rise, np.int64(0))
+        for n in range(rows):
+            r = 0.0 if np.isnan(rise[n, 0]) else min(max(rise[n, 0], -edges.RISE_MAX), edges.RISE_MAX)
+            position[n], drop[n] = half_level(share, n, low, step, position[n], high[n], blur, r)
+
+
+@part
+def doubt_of(share: Array, low: float, step: float, position: Array, blur: float) -> float:
+    """Twin of the doubt in `edges._measure`: what taking shading for none would move the row by."""
+    inside, _ = clear_of_edge(blur)
+    flat = np.empty(len(share))
+    for n in range(len(share)):
+        first = position[n] - inside
+        top = mean_between(share, n, low, step, first - edges.HIGH_PX, first)
+        flat[n], _ = half_level(share, n, low, step, position[n], top, blur, 0.0)
+    return edges.RISE_DOUBT * apart(position, flat)
+
+
+@part
+def measure_edges(
+    colour: Array, behind: Array, low: float, step: float, guess: Array, blur: float, gray: bool
+) -> tuple[Array, Array, float]:
+    """Twin of `edges.measure_edges`: positions and drops (N,), and the doubt."""
+    rows, count, _ = colour.shape
+    position, drop, share = np.empty(rows), np.empty(rows), np.empty((rows, count))
+    tube, cloth = both_sides(colour, low, step, guess, blur, gray)
+    local_share(colour, behind, tube, cloth, 1.0 if gray else edges.CHROMA[0], gray, share)
+    measure_way(share, low, step, guess, blur, edges.PASSES, position, drop)
+    if gray:
+        return position, drop, doubt_of(share, low, step, position, blur)
+    rough, second = scatter(position), np.empty((rows, count))
+    help_needed = rough > edges.SMOOTH_PX
+    other, other_drop = np.empty(rows), np.empty(rows)
+    local_share(colour, behind, tube, cloth, edges.CHROMA[1], gray, second)
+    start, passes = (guess, edges.PASSES) if help_needed else (position, 1)
+    measure_way(second, low, step, start, blur, passes, other, other_drop)
+    if help_needed and scatter(other) < rough:
+        return other, other_drop, doubt_of(second, low, step, other, blur) + apart(other, position)
+    return position, drop, doubt_of(share, low, step, position, blur) + apart(position, other)
+
+
+@part
+def blur_of(colour: Array, behind: Array, low: float, step: float, depth: float, gray: bool) -> float:
+    """Twin of `edges.blur_of` where all guesses are 0."""
+    rows = len(colour)
+    sigmas, found, share = np.empty(rows), np.int64(0), np.empty((rows, colour.shape[1]))
+    tube, cloth = both_sides(colour, low, step, np.zeros(rows), edges.SIGMA_FIRST_PX, gray)
+    local_share(colour, behind, tube, cloth, 1.0, gray, share)
+    far = min(edges.FAR_PX, edges.FAR_SHARE * depth)
+    for n in range(rows):
+        fall = mean_between(share, n, low, step, -far - 1.0, -far)
+        fall -= mean_between(share, n, low, step, far, far + 1.0)
+        steepest = -np.inf
+        for k in range(9):
+            a = -2.5 + 0.5 * k
+            steep = interpolate(share, n, low, step, a) - interpolate(share, n, low, step, a + 1.0)
+            if np.isnan(steep):
+                steepest = np.nan
+                break
+            steepest = max(steepest, steep)
+        sigma = fall / (ROOT_2_PI * steepest)
+        if np.isfinite(sigma) and sigma > 0:
+            sigmas[found] = sigma
+            found += 1
+    if found == 0:
+        return edges.SIGMA_FIRST_PX
+    return min(max(median(sigmas, found), edges.SIGMA_RANGE_PX[0]), edges.SIGMA_RANGE_PX[1])

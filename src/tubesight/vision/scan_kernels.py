@@ -1,0 +1,121 @@
+"""Compiled twin of `walker.measure`: scans along a followed tube. Same names, same numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tubesight.core import Array, Mask
+from tubesight.core.kernels import part
+from tubesight.vision import edges, walker
+from tubesight.vision.edge_kernels import blur_of, colour_profiles, measure_edges, window
+from tubesight.vision.kernels import Picture
+from tubesight.vision.math_kernels import Count, median
+from tubesight.vision.pairs import DROP_MIN
+
+Rows = NDArray[np.int64]
+
+
+@part
+def scans_along(places: Array, widths: Array) -> tuple[Array, Array, Array, int]:
+    """Twin of `walker._scans`: middles and unit ways (N, 2), half widths (N,), and how many of the rows are used."""
+    last = len(places) - 1
+    chord, steps, slope = np.zeros(last + 1), np.empty(last), np.empty((last + 1, 2))
+    for k in range(last):
+        steps[k] = max(np.hypot(places[k + 1, 0] - places[k, 0], places[k + 1, 1] - places[k, 1]), 1e-9)
+        chord[k + 1] = chord[k] + steps[k]
+    for k in range(last + 1):
+        a, b = max(k - 1, 0), min(k + 1, last)
+        for i in range(2):
+            slope[k, i] = (places[b, i] - places[a, i]) / (chord[b] - chord[a])
+    count = max(min(int(chord[last] / walker.FINE_STEP_PX) + 1, walker.SCANS), 2)
+    longest = walker.GAP_STEPS * median(steps.copy(), last)
+    middle, way, half = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
+    k = used = 0
+    for n in range(count):
+        s = n * (chord[last] / (count - 1))
+        while k < last - 1 and chord[k + 1] <= s:
+            k += 1
+        if not steps[k] <= longest:
+            continue
+        h = steps[k]
+        t = (s - chord[k]) / h
+        for i in range(2):
+            a, b, p, q = places[k, i], places[k + 1, i], slope[k, i] * h, slope[k + 1, i] * h
+            square, cube = 3 * (b - a) - 2 * p - q, 2 * (a - b) + p + q
+            middle[used, i] = a + t * (p + t * (square + t * cube))
+            way[used, i] = p + t * (2 * square + 3 * t * cube)
+        size = np.hypot(way[used, 0], way[used, 1])
+        way[used, 0] /= size
+        way[used, 1] /= size
+        half[used] = (widths[k] * (1 - t) + widths[k + 1] * t) / 2
+        used += 1
+    return middle, way, half, used
+
+
+@part
+def in_line(offset: Array, side: Count, keep: Mask, rows: Rows) -> None:
+    """Twin of `walker._in_line` for one row of (2, N); clears `keep` (K,) where an edge is out of line."""
+    count, near = len(rows), walker.LINE_NEIGHBOURS
+    off, values = np.empty(count), np.empty(max(count, 2 * near + 1))
+    for n in range(count):
+        used = np.int64(0)
+        for k in range(n - near if count > near else 0, n + near + 1 if count > near else count):
+            m = abs(k)
+            m = 2 * (count - 1) - m if m >= count else m
+            values[used] = offset[side, rows[m]]
+            used += 1
+        off[n] = abs(offset[side, rows[n]] - median(values, used))
+    for n in range(count):
+        values[n] = off[n]
+    limit = max(walker.LINE_PX, walker.LINE_SIGMAS * median(values, count)) if count > 0 else 0.0
+    for n in range(count):
+        keep[n] = keep[n] and off[n] <= limit
+
+
+@part
+def measure(picture: Picture, middles: Array, widths: Array) -> tuple[Array, float, float, float]:
+    """Twin of `walker.measure`: edges (N, 2, 2), blur, and the doubts of both rows."""
+    middle, way, half, rows = scans_along(middles, widths)
+    if rows == 0:
+        return np.empty((0, 2, 2)), edges.SIGMA_FIRST_PX, 1.0, 1.0
+    gray, step, every = picture.image.shape[2] < 3, edges.SPACING_PX, walker.BLUR_EVERY
+    origin, ways, depth = np.empty((2, rows, 2)), np.empty((2, rows, 2)), np.inf
+    for n in range(rows):
+        depth = min(depth, half[n])
+        for side in range(2):
+            sign = 1.0 - 2 * side
+            ways[side, n, 0], ways[side, n, 1] = sign * way[n, 1], -sign * way[n, 0]
+            for i in range(2):
+                origin[side, n, i] = middle[n, i] + ways[side, n, i] * half[n]
+    reach, blur = edges.FAR_PX + 1.0, np.inf
+    for side in range(2):
+        count = int(2 * reach / step) + 2
+        lines = colour_profiles(picture, origin[side], ways[side], every, -reach, step, count, edges.LINE_PX)
+        blur = min(blur, blur_of(lines[0], lines[1], -reach, step, depth, gray))
+    low, count = window(blur, depth)
+    offset, doubt, good = np.empty((2, rows)), np.empty(2), np.ones(rows, dtype=np.bool_)
+    for side in range(2):
+        lines = colour_profiles(picture, origin[side], ways[side], np.int64(1), low, step, count, edges.LINE_PX)
+        position, drop, doubt[side] = measure_edges(lines[0], lines[1], low, step, np.zeros(rows), blur, gray)
+        for n in range(rows):
+            offset[side, n] = position[n] + half[n]
+            good[n] = good[n] and np.isfinite(position[n]) and drop[n] > DROP_MIN
+    index, used = np.empty(rows, dtype=np.int64), 0
+    for n in range(rows):
+        if good[n]:
+            index[used] = n
+            used += 1
+    index = index[:used]
+    keep = np.ones(used, dtype=np.bool_)
+    for side in range(2):
+        in_line(offset, side, keep, index)
+    found, used = np.empty((len(index), 2, 2)), 0
+    for k in range(len(index)):
+        if keep[k]:
+            n = index[k]
+            for side in range(2):
+                for i in range(2):
+                    found[used, side, i] = origin[side, n, i] + ways[side, n, i] * (offset[side, n] - half[n])
+            used += 1
+    return found[:used], blur, doubt[0], doubt[1]
