@@ -25,6 +25,7 @@ from tubesight.cli import (
     rig_export,
     run,
     simulate,
+    view,
 )
 from tubesight.cli.places import BaseCommand
 from tubesight.core.errors import InputError
@@ -66,6 +67,7 @@ app.command("import")(import_.command)
 app.command("rig-export")(rig_export.command)
 app.command("check")(check.command)
 app.command("run", cls=BaseCommand)(run.command)
+app.command("view")(view.command)
 app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
 app.command("simulate")(simulate.command)
