@@ -176,3 +176,19 @@ def middle_of_canvas(page: Any) -> tuple[float, float]:
         return [b.x + b.width / 2, b.y + b.height / 2]; })()"
     x, y = page.call("Runtime.evaluate", expression=script, returnByValue=True)["result"]["value"]
     return float(x), float(y)
+
+
+def test_view_command_goes_through_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from small_set import write_small_set
+    from tubesight.cli.main import main
+
+    folder = write_small_set(tmp_path)
+    args = [str(folder / "photos"), "--rig", str(folder / "rig.yaml"), "--tube", str(folder / "tube.yaml")]
+    with pytest.raises(SystemExit) as left:
+        main(["view", *args, "--port", "0", "--pairs", "2"])
+    assert not left.value.code
+    assert "open http://127.0.0.1:" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as left:
+        main(["view", *args, "--port", "70000"])
+    assert left.value.code == 1
+    assert "70000 is no port" in capsys.readouterr().err

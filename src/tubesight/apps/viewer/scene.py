@@ -20,7 +20,7 @@ MM = 0.01
 ALONG, AROUND = 48, 16
 # The tip's last places, shown as a way.
 WAY = 600
-_TUBE, _HULL, _WAY, _TIP = (64, 156, 255), (255, 170, 60), (235, 90, 130), (235, 60, 60)
+_TUBE, _HULL, _WAY = (64, 156, 255), (255, 170, 60), (235, 90, 130)
 # Radius that is drawn where the diameter of the tube is not known.
 _RADIUS_MM = 2.0
 
@@ -85,7 +85,6 @@ class Scene3D:
         self._hull = server.scene.add_mesh_simple(
             "/uncertainty", vertices * MM, faces, color=_HULL, opacity=0.35, visible=False
         )
-        self._tip = server.scene.add_icosphere("/tip", 0.4 * self._radius_mm * MM, _TIP, visible=False)
         self._look(server, rig)
 
     def _look(self, server: viser.ViserServer, rig: Rig) -> None:
@@ -106,15 +105,13 @@ class Scene3D:
         """
         curve = result.curve
         shown = curve is not None and result.shape is not None
-        self._tube.visible = self._tip.visible = shown
+        self._tube.visible = shown
         self._hull.visible = shown and enlarge is not None
         if curve is None or result.shape is None:
             return
         vertices, _ = tube_mesh(curve, self._radius_mm)
         self._tube.vertices = (vertices * MM).astype(np.float32)
-        tip = result.shape.tip_mm * MM
-        self._tip.position = tip
-        self._way.append(tip)
+        self._way.append(result.shape.tip_mm * MM)
         if enlarge is not None:
             sd = np.nan_to_num(deviation_mm(curve, np.linspace(0.0, 1.0, ALONG)))
             vertices, _ = tube_mesh(curve, self._radius_mm + 2 * enlarge * sd)
