@@ -20,6 +20,7 @@ from tubesight.cli import (
     evaluate,
     import_,
     init,
+    live,
     methods,
     register,
     rig_export,
@@ -66,6 +67,7 @@ app.command("import")(import_.command)
 app.command("rig-export")(rig_export.command)
 app.command("check")(check.command)
 app.command("run", cls=BaseCommand)(run.command)
+app.command("live", cls=BaseCommand)(live.command)
 app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
 app.command("simulate")(simulate.command)
