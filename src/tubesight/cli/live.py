@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tubesight.cli.live_options import SizeOption, SourceOption, offsets_of, size_of, sources_of
+from tubesight.cli.live_options import (
+    EveryOption,
+    PicturesOption,
+    SizeOption,
+    SourceOption,
+    offsets_of,
+    pictures_of,
+    size_of,
+    sources_of,
+)
 from tubesight.cli.places import places_of
 
 if TYPE_CHECKING:
@@ -50,6 +59,11 @@ def command(
     ] = 50.0,
     seconds: Annotated[float | None, typer.Option("--seconds", min=0, help="Stop after so long.")] = None,
     filtered: Annotated[bool, typer.Option("--filter", help="Filter the shape too, beside the measured one.")] = False,
+    record: Annotated[
+        Path | None, typer.Option("--record", help="Record results and pictures into this file, `.mcap`.")
+    ] = None,
+    pictures: PicturesOption = "lossless",
+    every: EveryOption = 1,
     stats: Annotated[bool, typer.Option("--stats", help="Print a line of figures every second.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone, at the end.")] = False,
 ) -> None:
@@ -61,8 +75,8 @@ def command(
 
         tubesight live --source left=0 --source right=2 --rig rig.yaml --tube tube.yaml
     """
-    from tubesight.apps.live.loop import run_live
-    from tubesight.apps.live.options import LiveOptions, set_up
+    from tubesight.apps.live.options import LiveOptions, RecordOptions, set_up
+    from tubesight.apps.live.session import run_session
     from tubesight.cli.console import remark, stdout
     from tubesight.cli.run import refuse_unknown
     from tubesight.files.tables import to_json
@@ -84,16 +98,17 @@ def command(
         deadline_s=deadline / 1e3,
         seconds=seconds,
         filtered=filtered,
+        record=RecordOptions(record, pictures_of(pictures), every) if record is not None else None,
     )
     setup = set_up(options)
     remark(setup.messages)
     with screen(stats, json) as tell:
-        figures = run_live(options, setup, tell=tell)
+        figures = run_session(options, setup, tell)
     if json:
         typer.echo(to_json(figures.as_dict()))
     else:
         stdout().print(figures.line(), soft_wrap=True)
-        for line in refusals(figures):
+        for line in [*refusals(figures), *recorded(figures)]:
             stdout().print(line, soft_wrap=True)
     raise typer.Exit(0 if figures.ok else 1)
 
@@ -156,9 +171,13 @@ def view_lines(tracked: Tracked, figures: Figures) -> list[str]:
         f"skew {figures.skew_ms:.2f} ms   late {figures.late}"
     )
     lines += refusals(figures)
-    if figures.recorded:
-        lines.append("recording: " + ", ".join(f"{key} {value}" for key, value in figures.recorded.items()))
-    return [*lines, *tracked.notes, "Ctrl-C ends it. Research use only, not a medical device."]
+    return [*lines, *recorded(figures), *tracked.notes, "Ctrl-C ends it. Research use only, not a medical device."]
+
+
+def recorded(figures: Figures) -> list[str]:
+    """Say what was recorded; nothing where nothing is."""
+    said = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in figures.recorded.items())
+    return [f"recording: {said}"] if said else []
 
 
 def refusals(figures: Figures) -> list[str]:

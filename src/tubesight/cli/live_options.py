@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from tubesight.apps.live.options import PictureMode
 
 SourceOption = Annotated[
     list[str],
@@ -20,6 +23,24 @@ SourceOption = Annotated[
 SizeOption = Annotated[
     str | None, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Size of picture to ask the cameras for.")
 ]
+
+PicturesOption = Annotated[
+    str,
+    typer.Option(
+        "--pictures",
+        help="Pictures to record: `lossless` (as the camera coded them, else pixels), `jpeg`, `crop` or `none`.",
+    ),
+]
+EveryOption = Annotated[int, typer.Option("--every", min=1, help="Record the pictures of every n-th pair.")]
+
+
+def pictures_of(text: str) -> PictureMode:
+    """Read which pictures to record; wrong usage where it is none of them."""
+    modes: tuple[PictureMode, ...] = ("lossless", "jpeg", "crop", "none")
+    for mode in modes:
+        if text == mode:
+            return mode
+    raise typer.BadParameter(f"expected one of {', '.join(modes)}, got {text!r}", param_hint="--pictures")
 
 
 def sources_of(texts: Sequence[str]) -> dict[str, str]:

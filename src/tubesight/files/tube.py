@@ -9,7 +9,8 @@ from typing import Literal
 from pydantic import PositiveFloat
 
 from tubesight.core import InputError, Tip, Tube
-from tubesight.files.safe import Strict, load_yaml, refuse
+from tubesight.files.nested import dump_yaml, parse_yaml
+from tubesight.files.safe import Strict, load_yaml, refuse, validate
 
 
 class _TipFile(Strict):
@@ -28,7 +29,22 @@ def load_tube(path: Path) -> Tube:
 
     A round or flat end has the tube's own diameter: it may be repeated in the file, but not differ.
     """
-    file = load_yaml(path, _TubeFile)
+    return _tube(load_yaml(path, _TubeFile), path)
+
+
+def tube_from_text(text: str, path: Path) -> Tube:
+    """Read the text of a ``tube.yaml`` that lies in another file."""
+    return _tube(validate(parse_yaml(text, path), _TubeFile, path), path)
+
+
+def tube_text(tube: Tube) -> str:
+    """Write a tube as ``tube.yaml`` has it."""
+    tip = {"shape": tube.tip.shape, **({"diameter_mm": tube.tip.diameter_mm} if tube.tip.diameter_mm else {})}
+    known = {"diameter_mm": tube.diameter_mm} if tube.diameter_mm is not None else {}
+    return dump_yaml({**known, "tip": tip, "clamped": tube.clamped})
+
+
+def _tube(file: _TubeFile, path: Path) -> Tube:
     tip_mm = file.tip.diameter_mm
     if file.tip.shape != "ball" and tip_mm is not None:
         if file.diameter_mm is None or not math.isclose(tip_mm, file.diameter_mm, rel_tol=1e-3):

@@ -15,9 +15,9 @@ from typing import Any
 
 from tubesight.apps.live.options import LiveOptions, Setup
 from tubesight.apps.live.stats import Figures, Stats
-from tubesight.core import FramePair, InputError
+from tubesight.core import InputError
 from tubesight.outputs.publish import Subscriber
-from tubesight.sensor import Reconstruction, ShapeSensor
+from tubesight.sensor import ShapeSensor
 from tubesight.simulate import render_pair
 from tubesight.sources.live import LiveCameras
 from tubesight.sources.simulated import SIM_TUBE, sim_phantom
@@ -32,8 +32,6 @@ _TICK_S = 0.01
 _FIRST_S = 15.0
 # Old objects are looked through this often, between two pairs; young ones after every pair.
 _COLLECT_S = 10.0
-
-Measure = Callable[[FramePair], Reconstruction]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +56,7 @@ def run_live(
     subscribers: Sequence[Subscriber] = (),
     tell: Callable[[Moment], None] = lambda moment: None,
     recorded: Callable[[], Mapping[str, Any]] = dict,
-    measure: Measure | None = None,
+    measuring: bool = True,
 ) -> Figures:
     """Measure until the sources end, the time is over, or Ctrl-C.
 
@@ -70,8 +68,8 @@ def run_live(
         Called after every result on this thread: has to be quick.
     recorded
         What the recorder has to say, for the figures.
-    measure
-        In the place of the sensor (`record` measures nothing).
+    measuring
+        Whether to measure: else pairs are passed on as they are.
 
     Raises
     ------
@@ -79,7 +77,7 @@ def run_live(
         If a camera gives no first picture.
     """
     sensor = setup.sensor()
-    if measure is None:
+    if measuring:
         warm_up(sensor)
     rule = PairingRule(tuple(setup.sources), options.tolerance_s, options.offset_s)
     tracker, stats = Tracker(options.filtered), Stats()
@@ -89,7 +87,7 @@ def run_live(
             return stats.figures(cameras.counts(), recorded())
 
         with suppress(KeyboardInterrupt):
-            for tracked in _results(options, cameras, tracker, measure or sensor):
+            for tracked in _results(options, cameras, tracker, sensor if measuring else None):
                 stats.add(tracked)
                 for subscriber in subscribers:
                     subscriber.publish(tracked)
@@ -99,7 +97,9 @@ def run_live(
         return figures()
 
 
-def _results(options: LiveOptions, cameras: LiveCameras, tracker: Tracker, measure: Measure) -> Iterator[Tracked]:
+def _results(
+    options: LiveOptions, cameras: LiveCameras, tracker: Tracker, measure: ShapeSensor | None
+) -> Iterator[Tracked]:
     """Measure pairs as they come, and say when cameras fail and return."""
     start = time.monotonic()
     end = math.inf
@@ -121,6 +121,9 @@ def _results(options: LiveOptions, cameras: LiveCameras, tracker: Tracker, measu
                 yield told
             last_faults = faults
         if pair is None or faults:
+            continue
+        if measure is None:
+            yield Tracked(None, tracker.state, pair.time_s, pair.skew_s, pair=pair)
             continue
         tracked = tracker.step(measure(pair.pair(str(index))), pair)
         latency = time.monotonic() - pair.time_s

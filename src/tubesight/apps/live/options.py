@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 
 from tubesight.core import Array, Image, InputError, Tube
-from tubesight.files.rig import load_rig, refuse_camera_name
+from tubesight.files.rig import RIG_BYTES, refuse_camera_name, rig_from_text, rig_text
+from tubesight.files.safe import read_text
 from tubesight.files.tube import load_tube
 from tubesight.geometry.rig import Rig
 from tubesight.sensor import DEFAULT_METHOD, ShapeSensor
@@ -36,7 +37,7 @@ class RecordOptions:
     path
         The file, ``.mcap``; must be new.
     pictures
-        ``lossless``: as the camera coded them, else PNG; ``jpeg``: quality 95; ``crop``: PNG of the tube and what is
+        ``lossless``: as the camera coded them, else PGM; ``jpeg``: quality 95; ``crop``: PGM of the tube and what is
         near it; ``none``.
     every
         Pictures of every n-th pair; results of all.
@@ -105,6 +106,7 @@ class Setup:
     """Rig, tube and cameras of a session, and what the user should know of them."""
 
     rig: Rig
+    rig_text: str
     tube: Tube
     sources: Mapping[str, Source]
     base_px: Mapping[str, Array]
@@ -128,7 +130,7 @@ def set_up(options: LiveOptions) -> Setup:
     for name in (*options.sources, *options.base_px, *options.offset_s):
         refuse_camera_name(name, "--source")
     messages: list[str] = []
-    rig = _rig(options, messages)
+    rig, text = _rig(options, messages)
     tube = _tube(options, rig, messages)
     for what, names in (("--source", options.sources), ("--base", options.base_px), ("--offset", options.offset_s)):
         unknown = sorted(set(names) - set(rig.names))
@@ -146,7 +148,7 @@ def set_up(options: LiveOptions) -> Setup:
     }
     backgrounds = read_backgrounds(options.background_path, rig) if options.background_path is not None else {}
     base = {name: np.array(px, float) for name, px in options.base_px.items()}
-    return Setup(rig, tube, sources, base, backgrounds, options.method, tuple(messages))
+    return Setup(rig, text, tube, sources, base, backgrounds, options.method, tuple(messages))
 
 
 def simulated(text: str) -> bool:
@@ -154,20 +156,23 @@ def simulated(text: str) -> bool:
     return text.startswith("sim:") or (text.startswith("fault:") and simulated(text.split(":", 2)[-1]))
 
 
-def _rig(options: LiveOptions, messages: list[str]) -> Rig:
+def _rig(options: LiveOptions, messages: list[str]) -> tuple[Rig, str]:
     if options.rig_path is None:
         if len(options.sources) < 2 or not all(simulated(text) for text in options.sources.values()):
             raise InputError("a rig file is needed; give --rig, or simulated cameras alone, as --source left=sim:")
         messages.append("no rig file: simulated cameras around a simulated tube")
-        return sim_rig(options.size_px, tuple(options.sources))
-    rig = load_rig(options.rig_path).rig
+        # Through its text, so that a recording, which holds the text, is measured again with the very same numbers.
+        text = rig_text(sim_rig(options.size_px, tuple(options.sources)))
+        return rig_from_text(text, Path("simulated rig")).rig, text
+    text = read_text(options.rig_path, RIG_BYTES)
+    rig = rig_from_text(text, options.rig_path).rig
     lacking = [name for name in rig.names if name not in rig.camera_from_base]
     if lacking or len(rig.names) < 2:
         what = f"the pose of {', '.join(lacking)} is not known" if lacking else "a 3-D shape needs two cameras"
         raise InputError(f"{options.rig_path}: {what}; run `tubesight calibrate` on pictures of both cameras")
     if rig.covariance is None:
         messages.append("the rig has no covariance: deviations cover the pictures alone, not the calibration")
-    return rig
+    return rig, text
 
 
 def _tube(options: LiveOptions, rig: Rig, messages: list[str]) -> Tube:
