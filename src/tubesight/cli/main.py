@@ -18,10 +18,15 @@ from tubesight.cli import (
     devices,
     doctor,
     evaluate,
+    export,
     import_,
     init,
+    live,
     methods,
+    record,
+    recover,
     register,
+    replay,
     rig_export,
     run,
     simulate,
@@ -68,6 +73,11 @@ app.command("rig-export")(rig_export.command)
 app.command("check")(check.command)
 app.command("run", cls=BaseCommand)(run.command)
 app.command("view")(view.command)
+app.command("live", cls=BaseCommand)(live.command)
+app.command("record")(record.command)
+app.command("replay")(replay.command)
+app.command("recover")(recover.command)
+app.command("export")(export.command)
 app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
 app.command("simulate")(simulate.command)
