@@ -36,7 +36,8 @@ pytest.importorskip("websockets")
 
 from tubesight.outputs.network.igtl_messages import STATE, TIP, pack_result, tip_pose  # noqa: E402
 from tubesight.outputs.network.igtl_server import CLIENTS_MAX, IgtlServer  # noqa: E402
-from tubesight.outputs.network.json_senders import UdpSender, WebSocketServer  # noqa: E402
+from tubesight.outputs.network.udp import UdpSender  # noqa: E402
+from tubesight.outputs.network.websocket import WebSocketServer  # noqa: E402
 
 HEADER = struct.Struct("> H 12s 20s II Q Q")
 ARC = Arc(np.array([0.006, -0.004]), 120.0)

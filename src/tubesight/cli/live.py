@@ -64,6 +64,18 @@ def command(
     ] = None,
     pictures: PicturesOption = "lossless",
     every: EveryOption = 1,
+    igtl: Annotated[
+        str | None, typer.Option("--igtl", metavar="[HOST:]PORT", help="Serve results by OpenIGTLink (18944).")
+    ] = None,
+    websocket: Annotated[
+        str | None, typer.Option("--websocket", metavar="[HOST:]PORT", help="Serve results as JSON (8765).")
+    ] = None,
+    udp: Annotated[
+        str | None, typer.Option("--udp", metavar="[HOST:]PORT", help="Send results as JSON datagrams (8766).")
+    ] = None,
+    view: Annotated[
+        int | None, typer.Option("--view", metavar="PORT", help="Show everything in the browser (8080).", min=0)
+    ] = None,
     stats: Annotated[bool, typer.Option("--stats", help="Print a line of figures every second.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone, at the end.")] = False,
 ) -> None:
@@ -74,8 +86,11 @@ def command(
         tubesight live --source left=sim: --source right=sim:
 
         tubesight live --source left=0 --source right=2 --rig rig.yaml --tube tube.yaml
+
+        tubesight live --source left=sim: --source right=sim: --view 8080 --igtl 18944 --websocket 8765
     """
     from tubesight.apps.live.options import LiveOptions, RecordOptions, set_up
+    from tubesight.apps.live.publishing import Place, PublishOptions, open_subscribers
     from tubesight.apps.live.session import run_session
     from tubesight.cli.console import remark, stdout
     from tubesight.cli.run import refuse_unknown
@@ -100,10 +115,17 @@ def command(
         filtered=filtered,
         record=RecordOptions(record, pictures_of(pictures), every) if record is not None else None,
     )
+    publishing = PublishOptions(
+        igtl=Place.of(igtl) if igtl is not None else None,
+        websocket=Place.of(websocket) if websocket is not None else None,
+        udp=Place.of(udp) if udp is not None else None,
+        view_port=view,
+    )
     setup = set_up(options)
-    remark(setup.messages)
+    subscribers, addresses = open_subscribers(publishing, setup)
+    remark([*setup.messages, *addresses])
     with screen(stats, json) as tell:
-        figures = run_session(options, setup, tell)
+        figures = run_session(options, setup, tell, subscribers)
     if json:
         typer.echo(to_json(figures.as_dict()))
     else:

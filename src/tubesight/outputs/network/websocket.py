@@ -1,4 +1,4 @@
-"""Results as JSON: one message a WebSocket frame, or one a UDP datagram."""
+"""Results as JSON over WebSocket, one a message, and their schema."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from websockets.http11 import Request, Response
 from tubesight.files.message import dump_message, message_schema
 from tubesight.outputs.network.access import Access, checked_port
 
-WEBSOCKET_PORT, UDP_PORT = 8765, 8766
+PORT = 8765
 CLIENTS_MAX = 16
 # Clients of a WebSocket only answer pings.
 _RECEIVED_BYTES = 1 << 10
@@ -41,7 +41,7 @@ class WebSocketServer:
         How many clients were dropped because they took too little.
     """
 
-    def __init__(self, access: Access, port: int = WEBSOCKET_PORT) -> None:
+    def __init__(self, access: Access, port: int = PORT) -> None:
         self.access, self.port = access, checked_port(port, "WebSocket")
         self.dropped = 0
         self._last = ""
@@ -117,39 +117,3 @@ class WebSocketServer:
 async def _send(client: ServerConnection, text: str) -> None:
     with contextlib.suppress(Exception):  # a client that is gone is no news
         await client.send(text)
-
-
-class UdpSender:
-    """Sends results as datagrams to one address (`tubesight.outputs.network.hub.Sender`).
-
-    Parameters
-    ----------
-    host, port
-        Where to.
-    """
-
-    def __init__(self, host: str = "127.0.0.1", port: int = UDP_PORT) -> None:
-        self.host, self.port = host, checked_port(port, "UDP")
-        self._transport: asyncio.DatagramTransport | None = None
-
-    @property
-    def address(self) -> str:
-        """Where messages go."""
-        return f"udp://{self.host}:{self.port}"
-
-    async def start(self) -> None:
-        """Open a socket of our own; whether anybody listens is not known."""
-        loop = asyncio.get_running_loop()
-        self._transport, _ = await loop.create_datagram_endpoint(
-            asyncio.DatagramProtocol, remote_addr=(self.host, self.port)
-        )
-
-    def send(self, message: dict[str, Any]) -> None:
-        """Send a result."""
-        if self._transport is not None and not self._transport.is_closing():
-            self._transport.sendto(dump_message(message).encode())
-
-    async def stop(self) -> None:
-        """Close the socket."""
-        if self._transport is not None:
-            self._transport.close()
