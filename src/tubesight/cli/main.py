@@ -18,13 +18,19 @@ from tubesight.cli import (
     devices,
     doctor,
     evaluate,
+    export,
     import_,
     init,
+    live,
     methods,
+    record,
+    recover,
     register,
+    replay,
     rig_export,
     run,
     simulate,
+    view,
 )
 from tubesight.cli.places import BaseCommand
 from tubesight.core.errors import InputError
@@ -66,6 +72,12 @@ app.command("import")(import_.command)
 app.command("rig-export")(rig_export.command)
 app.command("check")(check.command)
 app.command("run", cls=BaseCommand)(run.command)
+app.command("view")(view.command)
+app.command("live", cls=BaseCommand)(live.command)
+app.command("record")(record.command)
+app.command("replay")(replay.command)
+app.command("recover")(recover.command)
+app.command("export")(export.command)
 app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
 app.command("simulate")(simulate.command)

@@ -34,8 +34,19 @@ def draw_overlay(pair: FramePair, result: Reconstruction, rig: Rig) -> Image:
     Returns
     -------
     Image
-        One column per camera: the whole picture, below it the part with the tube, enlarged; on top the measured
-        values or the reason why there are none.
+        As `draw_views`; on top the measured values or the reason why there are none.
+    """
+    body = draw_views(pair, result, rig, _COLUMN_PX)
+    return np.concatenate([_header(result, body.shape[1]), body])
+
+
+def draw_views(pair: FramePair, result: Reconstruction, rig: Rig, column_px: int) -> Image:
+    """Draw what was found on the photographs: a column of this width per camera.
+
+    Returns
+    -------
+    Image
+        In each column the whole picture, below it the part with the tube, enlarged.
     """
     columns = []
     for name in rig.names:
@@ -43,13 +54,13 @@ def draw_overlay(pair: FramePair, result: Reconstruction, rig: Rig) -> Image:
         curve = _curve_px(result, rig, name)
         image = pair.images[name]
         whole = (0, 0, image.shape[1], image.shape[0])
-        panels = [_panel(image, view, curve, box) for box in (whole, _tube_box(image, view, curve)) if box is not None]
+        boxes = (whole, _tube_box(image, view, curve))
+        panels = [_panel(image, view, curve, box, column_px) for box in boxes if box is not None]
         cv2.putText(panels[0], name, (16, 36), _FONT, 1.0, (255, 255, 255), 2, cv2.LINE_AA)
         columns.append(np.concatenate(panels))
     height = max(len(column) for column in columns)
     padded = [np.pad(column, ((0, height - len(column)), (0, 0), (0, 0))) for column in columns]
-    body = np.concatenate(padded, axis=1)
-    return np.concatenate([_header(result, body.shape[1]), body])
+    return np.concatenate(padded, axis=1)
 
 
 def _curve_px(result: Reconstruction, rig: Rig, name: str) -> Array:
@@ -78,10 +89,10 @@ def _tube_box(image: Image, view: View | None, curve_px: Array) -> _Box | None:
     return int(corner[0]), int(corner[1]), int(corner[0] + size[0]), int(corner[1] + size[1])
 
 
-def _panel(image: Image, view: View | None, curve_px: Array, box: _Box) -> Image:
+def _panel(image: Image, view: View | None, curve_px: Array, box: _Box, column_px: int) -> Image:
     x0, y0, x1, y1 = box
-    scale = _COLUMN_PX / (x1 - x0)
-    size = (_COLUMN_PX, max(round((y1 - y0) * scale), 1))
+    scale = column_px / (x1 - x0)
+    size = (column_px, max(round((y1 - y0) * scale), 1))
     part = cv2.resize(image[y0:y1, x0:x1], size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
     panel = np.ascontiguousarray(cv2.cvtColor(part, cv2.COLOR_GRAY2BGR) if part.ndim == 2 else part, dtype=np.uint8)
 

@@ -1,0 +1,30 @@
+"""Network cameras: pictures or motion JPEG over HTTP."""
+
+from __future__ import annotations
+
+import time
+
+from tubesight.sources.clock import ArrivalClock
+from tubesight.sources.http import HttpPictures
+from tubesight.sources.jpeg import decode_picture
+from tubesight.sources.reader import Picture, Source, Wanted
+
+
+class _HttpReader:
+    def __init__(self, url: str, wanted: Wanted) -> None:
+        self._stream = HttpPictures(url, wanted.timeout_s)
+        self._gray = wanted.gray
+        self._clock = ArrivalClock()
+
+    def read(self) -> Picture:
+        data = self._stream.read()
+        time_s = self._clock.time_s(self._stream.stamp_s, time.monotonic())
+        return Picture(decode_picture(data, self._stream.name, self._gray), time_s, data)
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+def http_source(url: str, wanted: Wanted) -> Source:
+    """Motion JPEG, or one picture each time, over HTTP; stamped ``X-Timestamp`` by the server where it does."""
+    return Source(HttpPictures(url, wanted.timeout_s).name, lambda: _HttpReader(url, wanted))
