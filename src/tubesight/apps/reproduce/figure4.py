@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from tubesight.apps.reproduce.mockup import TUBE, phantom_of, photograph, true_rig
 from tubesight.apps.reproduce.study import Context, Figure, StudyResult
 from tubesight.outputs.stages import write_stages
@@ -24,8 +26,8 @@ def run(context: Context) -> StudyResult:
         ("silhouette", "Stages of the method silhouette on the same photograph."),
     ):
         sensor = ShapeSensor(rig, TUBE, method)
-        folder = context.out / "figures" / method
-        files = write_stages(folder, pair, sensor(pair), sensor)
+        result = replace(sensor(pair), frame=f"figure4_{method}")
+        files = write_stages(context.out / "figures", pair, result, sensor)
         sheet = next(path for path in files if path.name == f"{camera}.png")
         figures.append(Figure(sheet, caption))
     text = (

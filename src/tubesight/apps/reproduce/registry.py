@@ -14,6 +14,7 @@ Run = Callable[[Context], StudyResult]
 STUDIES: Mapping[str, str] = MappingProxyType(
     {
         "figure4": "what each stage of the image processing makes of a photograph",
+        "experiment1": "five tubes at eight orientations (figures 5 to 7)",
     }
 )
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tubesight.apps.pool import open_pool
+from tubesight.apps.reproduce.drawing import style
 from tubesight.apps.reproduce.registry import STUDIES, study
 from tubesight.apps.reproduce.report import page
 from tubesight.apps.reproduce.spread import Progress, Remembered
@@ -75,7 +76,7 @@ def reproduce(
     results: dict[str, StudyResult] = {}
     report, summary = out / "report.html", out / "summary.json"
     write_json(summary, {})
-    with open_pool(workers, scheduler) as pool:
+    with style(), open_pool(workers, scheduler) as pool:
         spread = Remembered(out / "cache", pool, progress)
         for name in (n for n in STUDIES if not names or n in names):
             results[name] = study(name)(Context(name, out, quick, seed, spread))

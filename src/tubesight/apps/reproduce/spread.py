@@ -28,6 +28,7 @@ class Remembered:
     ----------
     folder
         Holds one JSON file a task, named by function, task and source of the package: other code, other results.
+        Studies that have a task in common share it.
     pool
         Does what is not there yet.
     """
@@ -39,7 +40,7 @@ class Remembered:
 
     def __call__(self, study: str, function: Callable[[Task], Result], tasks: Sequence[Task]) -> list[Result]:
         """Return results in the order of the tasks, see `tubesight.apps.reproduce.study.Context.map`."""
-        paths = [self._folder / study / f"{_key(function, task)}.json" for task in tasks]
+        paths = [self._folder / f"{_key(function, task)}.json" for task in tasks]
         results = {i: json.loads(path.read_bytes()) for i, path in enumerate(paths) if path.is_file()}
         self._progress(study, len(results), len(tasks))
         missing = [i for i in range(len(tasks)) if i not in results]
