@@ -15,6 +15,8 @@ STUDIES: Mapping[str, str] = MappingProxyType(
     {
         "figure4": "what each stage of the image processing makes of a photograph",
         "experiment1": "five tubes at eight orientations (figures 5 to 7)",
+        "experiment2": "eight tubes turned once round (figures 8 to 11)",
+        "timing": "what a pair of pictures costs (section 4)",
     }
 )
 
