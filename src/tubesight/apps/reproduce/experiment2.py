@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 _BENDING_DEG = (10, 20, 30, 40, 50, 60, 70)
 # The paper turns by hand and measures all the while.
 _STEP_DEG, _QUICK_STEP_DEG = 5, 30
+# Half the height of the panels: in the paper's largest errors, and enlarged, in mm or degrees. What lies beyond runs
+# out of the panel; the data have it.
+_SCALE, _ENLARGED = 1.4, 0.2
 # Heights of the tips of figure 11: 160 mm straight down, 129 mm at 70 degrees.
 _HEIGHTS_MM = (120.0, 165.0)
 _TIP_Z, _BENDING = "tip_z_error_mm", "bending_error_deg"
@@ -50,12 +53,12 @@ def run(context: Context) -> StudyResult:
         context.write_figure(
             "figure8",
             _turned(rows, names, ((_TIP_Z, "tip z [mm]"),), PAPER_MAX_MM),
-            f"Figure 8 of the paper: errors of the tip's height, a tube each panel; {dashed}.",
+            f"Figure 8 of the paper: errors of the tip's height, a tube each row, right enlarged; {dashed}.",
         ),
         context.write_figure(
             "figure9",
             _turned(rows, names, ((_BENDING, "bending [deg]"),), PAPER_MAX_DEG),
-            f"Figure 9 of the paper: errors of the bending angle, a tube each panel; {dashed}.",
+            f"Figure 9 of the paper: errors of the bending angle, a tube each row, right enlarged; {dashed}.",
         ),
         context.write_figure(
             "figure10",
@@ -118,12 +121,14 @@ def _by_tube(rows: Sequence[Row], names: Sequence[str]) -> Table:
 
 
 def _turned(rows: Sequence[Row], tubes: Sequence[str], quantities: Sequence[tuple[str, str]], paper: float) -> Drawing:
-    """Signed errors over orientation: a row of panels each tube, a column each quantity, a line each method."""
-    size = (8.5, 1.0 + 1.15 * len(tubes))
-    made, axes = drawing.panels(len(tubes), len(quantities), size, sharex=True, sharey=True)
+    """Signed errors over orientation: a row of panels each tube; each quantity on the paper's scale and enlarged."""
+    columns = 2 * len(quantities)
+    made, axes = drawing.panels(len(tubes), columns, (2.0 + 3.0 * columns, 1.0 + 1.15 * len(tubes)), sharex=True)
     for tube, row_axes in zip(tubes, axes, strict=True):
-        for (key, _), panel in zip(quantities, row_axes, strict=True):
-            for method in METHODS:
+        for column, panel in enumerate(row_axes):
+            key, enlarged = quantities[column // 2][0], column % 2
+            # The reference runs far out of the enlarged panels.
+            for method in METHODS[enlarged:]:
                 own = of(rows, tube=tube, method=method, rig=CALIBRATED)
                 panel.plot(
                     [row["true_orientation_deg"] for row in own],
@@ -135,31 +140,34 @@ def _turned(rows: Sequence[Row], tubes: Sequence[str], quantities: Sequence[tupl
                 )
             drawing.paper_line(panel, [paper, -paper], f"largest in the paper, {paper}")
             drawing.orientation_axis(panel)
+            panel.set_ylim(*((-_ENLARGED, _ENLARGED) if enlarged else (-_SCALE * paper, _SCALE * paper)))
         row_axes[0].set_title(f"{tube} deg", loc="left", pad=3)
     for panel in axes[-1]:
         panel.set_xlabel("orientation [deg]")
-    for (_, label), panel in zip(quantities, axes[len(tubes) // 2], strict=True):
-        panel.set_ylabel(f"error of {label}")
+    for column, panel in enumerate(axes[len(tubes) // 2]):
+        panel.set_ylabel(f"error of {quantities[column // 2][1]}{', enlarged' if column % 2 else ''}")
     drawing.legend_below(made, axes[0][0], columns=4)
     return made
 
 
 def _trajectories(rows: Sequence[Row], bending_deg: Sequence[int]) -> Drawing:
     """Tips in space, a panel each method."""
-    made, axes = drawing.panels(1, len(METHODS), (10.0, 4.2), subplot_kw={"projection": "3d"})
-    round_deg = np.arange(0, 361, 3)
+    made, axes = drawing.panels(1, len(METHODS), (12.0, 4.4), subplot_kw={"projection": "3d"})
+    turn = np.radians(np.arange(0, 361, 3))
     for method, panel in zip(METHODS, axes[0], strict=True):
+        space: Any = panel
         for bending, colour in zip(bending_deg, drawing.shades(len(bending_deg)), strict=True):
             tip = phantom_of(bending, 0.0)
             radius, _, height = tip.at(np.array([tip.length_mm]))[0]
-            turn = np.radians(round_deg)
-            panel.plot(
-                radius * np.cos(turn), radius * np.sin(turn), np.full(turn.shape, height), color=colour, linewidth=0.8
-            )
+            circle = radius * np.cos(turn), radius * np.sin(turn), np.full(turn.shape, height)
+            space.plot(*circle, color=colour, linewidth=0.8)
             own = of(rows, tube=f"circular {bending}", method=method, rig=CALIBRATED)
             points = np.array([[row["tip_x_mm"], row["tip_y_mm"], row["tip_z_mm"]] for row in own])
-            panel.plot(*points.T, linestyle="", marker="o", markersize=2, color=colour, label=f"{bending} deg")
+            space.plot(*points.T, linestyle="", marker="o", markersize=2, color=colour, label=f"{bending} deg")
         # The tube hangs: z, along it, points down.
-        panel.set(title=method, xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]", zlim=_HEIGHTS_MM[::-1])
+        space.set(title=method, xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]", zlim=_HEIGHTS_MM[::-1])
+        space.set(xticks=(-80, 0, 80), yticks=(-80, 0, 80), zticks=(120, 140, 160))
+        # Room for the label of z, which the layout does not see.
+        space.set_box_aspect((1, 1, 0.9), zoom=0.87)
     drawing.legend_below(made, axes[0][0], columns=len(bending_deg), title="bending")
     return made

@@ -125,11 +125,9 @@ def calibrated(session: Session) -> dict[str, Any]:
         ``cameras`` of a `PlainRig`, ``rms_px`` of the adjustment; with a calibration that is refused ``cameras`` is
         empty and ``refused`` says why.
     """
-    rig = rig_around(size_px=session.size_px)
-    board = Board("chessboard", session.squares, session.square_mm)
+    rig, board = rig_around(size_px=session.size_px), board_of(session)
     scene = Scene(blur_px=session.blur_px, noise_levels=session.noise_levels, seed=session.seed)
-    count = session.views + session.registration_views
-    poses = board_views(rig, board, count, np.random.default_rng(session.seed), session.spread_mm)
+    poses = poses_of(session, rig)
     pairs = [through_jpeg(render_board_pair(rig, board, pose, scene, f"{i:03d}")) for i, pose in enumerate(poses)]
     known = {f"{i:03d}": pose for i, pose in enumerate(poses) if i >= session.views}
     try:
@@ -139,6 +137,17 @@ def calibrated(session: Session) -> dict[str, Any]:
     except CalibrationError as error:
         return {"cameras": [], "rms_px": float("nan"), "refused": str(error)}
     return {"cameras": asdict(PlainRig.of(base.rig))["cameras"], "rms_px": made.adjusted.rms_px, "refused": ""}
+
+
+def board_of(session: Session) -> Board:
+    """Chessboard of a session."""
+    return Board("chessboard", session.squares, session.square_mm)
+
+
+def poses_of(session: Session, rig: Rig) -> list[Pose]:
+    """Poses ``base_from_board`` of a session: those to calibrate with, then those to register with."""
+    rng = np.random.default_rng(session.seed)
+    return board_views(rig, board_of(session), session.views + session.registration_views, rng, session.spread_mm)
 
 
 def _pictures(pairs: Sequence[FramePair]) -> dict[str, dict[str, Callable[[], Image]]]:

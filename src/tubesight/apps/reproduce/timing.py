@@ -84,6 +84,7 @@ def _bars(measured: Benchmark) -> Drawing:
     panel.barh(names, seeing, color=drawing.COLOURS["cone_ray"], label="image processing, both pictures")
     panel.barh(names, solving, left=seeing, color=drawing.COLOURS["reference"], hatch="//", label="reconstruction")
     panel.invert_yaxis()
+    panel.grid(axis="y", visible=False)
     panel.set_xlabel("time a pair [ms]")
     drawing.legend_below(made, panel, columns=2)
     return made
