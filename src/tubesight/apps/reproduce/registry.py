@@ -18,6 +18,7 @@ STUDIES: Mapping[str, str] = MappingProxyType(
         "figure4": "what each stage of the image processing makes of a photograph",
         "experiment1": "five tubes at eight orientations (figures 5 to 7)",
         "experiment2": "eight tubes turned once round (figures 8 to 11)",
+        "sensitivity": "what each thing that can be wrong costs",
         "timing": "what a pair of pictures costs (section 4)",
     }
 )
