@@ -27,6 +27,7 @@ from tubesight.cli import (
     recover,
     register,
     replay,
+    reproduce,
     rig_export,
     run,
     simulate,
@@ -82,6 +83,7 @@ app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
 app.command("simulate")(simulate.command)
 app.command("bench")(bench.command)
+app.command("reproduce")(reproduce.command)
 app.command("devices")(devices.command)
 app.command("doctor")(doctor.command)
 
