@@ -90,7 +90,10 @@ def outline(seen: Stations, camera: Camera, camera_from_base: Pose, tube: Tube) 
     sideways = np.cross(tangents, towards / away) * np.sqrt(1 - cosine**2)
     contacts = [points + radius * (cosine * towards / away + sign * sideways) for sign in (1, -1)]
     ends = camera.project(camera_from_base.apply(seen.points_mm[..., [-1, 0], :]))
-    tip, forward = camera_from_base.apply(seen.points_mm[..., -1, :]), camera_from_base.rotate(seen.tangents[..., -1, :])
+    tip, forward = (
+        camera_from_base.apply(seen.points_mm[..., -1, :]),
+        camera_from_base.rotate(seen.tangents[..., -1, :]),
+    )
     contour = camera.project(_circle(tip, forward, ball))
     return Outline(
         camera.project(camera_from_base.apply(np.stack(contacts, -2))), contour, ends[..., 0, :], ends[..., 1, :]

@@ -153,8 +153,8 @@ def normals(seen: Outline) -> Array:
 def shifts(seen: Outline, errors: Errors) -> Array:
     """How the shifts of a picture, each in its deviation, move the edge points outwards: (N, 7).
 
-    One of all edges; of each side a shift and a tilt along the tube; of the tip's contour a shift along both axes of the
-    picture.
+    One of all edges; of each side a shift and a tilt along the tube; of the tip's contour a shift along both axes of
+    the picture.
     """
     design = np.zeros((2 * SCANS + CONTOUR, 7))
     design[:, 0] = errors.bias_px

@@ -11,10 +11,9 @@ import numpy as np
 from tubesight.apps.planning.information import PARAMETERS, Errors, Information, information, placed
 from tubesight.core import Array, Tube
 from tubesight.geometry.rig import Rig
-from tubesight.geometry.shape import angle_between
 from tubesight.simulate.phantom import Arc
 
-# Steps of the differences of tip, angles and length by the unknowns: all are smooth over a thousandth of a radian or mm.
+# Step of the differences of the tip by the unknowns (mm, rad): it is smooth over far more than that.
 _STEP = 1e-4
 # Deviation of the tip's distance from the axis against that distance, above which its azimuth is not defined.
 _AZIMUTH_SHARE = 1 / 3
@@ -83,7 +82,7 @@ def covariance_of(told: Sequence[Array], errors: Errors) -> Array:
 
 def deviations_of(phantom: Arc, covariance: Array) -> Deviations:
     """Deviations of what is reported from the covariance (7, 7) of the unknowns."""
-    jacobian = _derivatives(phantom)
+    jacobian = derivatives(phantom)
     reported = jacobian @ covariance @ jacobian.T
     x, y, z, bending, side, length = np.sqrt(np.maximum(np.diag(reported), 0.0)).tolist()
     tip = phantom.at(phantom.length_mm)
@@ -94,16 +93,20 @@ def deviations_of(phantom: Arc, covariance: Array) -> Deviations:
 
 
 @lru_cache(maxsize=4096)
-def _derivatives(phantom: Arc) -> Array:
-    """Derivatives (6, 7) of tip x, y, z, bending, the tip's way around the axis (mm) and length by the unknowns."""
-    return np.stack([(_reported(phantom, d) - _reported(phantom, -d)) / (2 * _STEP) for d in np.eye(PARAMETERS) * _STEP]).T
+def derivatives(phantom: Arc) -> Array:
+    """Differentiate tip x, y, z, bending, the tip's way around the axis (mm) and length by the unknowns: (6, 7).
+
+    The bending is that of the unknown vector along the tube's own orientation, which is regular at a straight tube.
+    """
+    made = np.stack([(_tip(phantom, d) - _tip(phantom, -d)) / (2 * _STEP) for d in np.eye(PARAMETERS) * _STEP], 1)
+    tip = phantom.at(phantom.length_mm)
+    radius = float(np.hypot(tip[0], tip[1]))
+    around = (tip[0] * made[1] - tip[1] * made[0]) / radius if radius > 0 else np.zeros(PARAMETERS)
+    bending, length = np.zeros(PARAMETERS), np.eye(PARAMETERS)[2]
+    bending[:2] = np.cos(phantom.phi_rad), np.sin(phantom.phi_rad)
+    return np.vstack([made, bending, around, length])
 
 
-def _reported(phantom: Arc, offset: Array) -> Array:
+def _tip(phantom: Arc, offset: Array) -> Array:
     there = placed(phantom, offset)
-    length = there.length_mm
-    tip, still = there.at(length), phantom.at(phantom.length_mm)
-    base, end = there.tangent(np.array([0.0, length]))
-    radius = float(np.hypot(still[0], still[1]))
-    around = (still[0] * tip[1] - still[1] * tip[0]) / radius if radius > 0 else 0.0
-    return np.array([*tip, angle_between(base, end), around, length])
+    return there.at(there.length_mm)
