@@ -13,8 +13,13 @@ Run = Callable[[Context], StudyResult]
 # Module of each study, and what it shows in a few words for --help. Modules are imported when their study runs.
 STUDIES: Mapping[str, str] = MappingProxyType(
     {
+        "figure2": "the geometry, theta and phi",
+        "figure3": "the set-up and what its cameras see",
         "figure4": "what each stage of the image processing makes of a photograph",
         "experiment1": "five tubes at eight orientations (figures 5 to 7)",
+        "experiment2": "eight tubes turned once round (figures 8 to 11)",
+        "sensitivity": "what each thing that can be wrong costs",
+        "timing": "what a pair of pictures costs (section 4)",
     }
 )
 
