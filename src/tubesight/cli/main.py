@@ -25,6 +25,7 @@ from tubesight.cli import (
     methods,
     record,
     recover,
+    plan,
     register,
     replay,
     reproduce,
@@ -81,6 +82,7 @@ app.command("recover")(recover.command)
 app.command("export")(export.command)
 app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
+app.command("plan")(plan.command)
 app.command("simulate")(simulate.command)
 app.command("bench")(bench.command)
 app.command("reproduce")(reproduce.command)

@@ -20,6 +20,7 @@ STUDIES: Mapping[str, str] = MappingProxyType(
         "experiment2": "eight tubes turned once round (figures 8 to 11)",
         "sensitivity": "what each thing that can be wrong costs",
         "timing": "what a pair of pictures costs (section 4)",
+        "table1": "noise of millimetres on the centreline points (table 1)",
     }
 )
 
