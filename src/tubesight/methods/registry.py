@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from tubesight.methods import cone_ray, dalvand, silhouette
 from tubesight.methods.method import Method
+from tubesight.methods.rivals import RIVALS
 from tubesight.vision.reference import Reference
 
 _PAPER = (
@@ -70,5 +71,6 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             solve=dalvand.solve,
             see=Reference(whole=False),
         ),
+        **RIVALS,
     }
 )
