@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from types import MappingProxyType
 
-from tubesight.core import Array, Image, Tube
-from tubesight.geometry.camera import Camera
-from tubesight.geometry.curve import Curve3D
-from tubesight.geometry.rig import Rig
 from tubesight.methods import cone_ray, dalvand, epipolar_dp, silhouette, spline_fit, triangulate
+from tubesight.methods.method import Method
 from tubesight.vision.reference import Reference
-from tubesight.vision.see import Start, see
-from tubesight.vision.view import View
-
-# (camera name, picture, background, camera, tube, start, base pixel) -> View; see `tubesight.vision.see.see`.
-Vision = Callable[[str, Image, Image | None, Camera, Tube, Start | None, Array | None], View]
 
 _PAPER = (
     "Dalvand, Nahavandi, Howe 2016, Fast vision-based catheter 3D reconstruction, "
@@ -46,31 +37,6 @@ _MATCHING_TRAITS: Mapping[str, str] = MappingProxyType(
         "3-D": "yes",
     }
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Method:
-    """A registered method: a vision strategy with a solver.
-
-    Attributes
-    ----------
-    name, summary, citation
-        Name on the command line, one sentence, and where it is from.
-    traits
-        A row of table 2 of Dalvand et al. 2016: what it needs and what it gives.
-    solve
-        ``(views, rig, tube) -> Curve3D``; raises `Unmeasurable` where the views do not give a curve.
-    see
-        The vision strategy: one picture to one `View`; raises `Unmeasurable` where the tube is not seen.
-    """
-
-    name: str
-    summary: str
-    citation: str
-    traits: Mapping[str, str]
-    solve: Callable[[Mapping[str, View], Rig, Tube], Curve3D]
-    see: Vision = see
-
 
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
