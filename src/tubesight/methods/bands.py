@@ -17,7 +17,7 @@ _MISS_WIDTHS = 0.35
 
 
 def banded(views: Mapping[str, View]) -> dict[str, BandView]:
-    """Views with their bands.
+    """Return views with their bands.
 
     Raises
     ------

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from tubesight.methods import cone_ray, dalvand, silhouette
+from tubesight.methods import cone_ray, dalvand, epipolar_dp, silhouette, spline_fit, triangulate
 from tubesight.methods.method import Method
 from tubesight.methods.rivals import RIVALS
 from tubesight.vision.reference import Reference
@@ -26,7 +26,18 @@ _PAPER_TRAITS: Mapping[str, str] = MappingProxyType(
         "3-D": "yes",
     }
 )
-
+# What two matched centrelines give, whatever the shape.
+_MATCHING_TRAITS: Mapping[str, str] = MappingProxyType(
+    {
+        "cameras": "2",
+        "markers": "none",
+        "physical grid": "none",
+        "initial guess": "none",
+        "circular arcs": "not needed: any smooth curve",
+        "tip": "yes",
+        "3-D": "yes",
+    }
+)
 
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
@@ -70,6 +81,28 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             traits=_PAPER_TRAITS,
             solve=dalvand.solve,
             see=Reference(whole=False),
+        ),
+        "triangulate": Method(
+            name="triangulate",
+            summary="the naive baseline: both centrelines cut into equal shares of their length, paired, triangulated",
+            citation="common practice; Hartley, Zisserman 2004, Multiple View Geometry, section 12.2 (linear method)",
+            traits=_MATCHING_TRAITS,
+            solve=triangulate.solve,
+        ),
+        "epipolar_dp": Method(
+            name="epipolar_dp",
+            summary="both centrelines matched along epipolar lines by dynamic programming, smoothing spline",
+            citation="after Hoffmann, Brost, Schaefer, Koch, Bourier, Strobel 2012, Semi-automatic catheter "
+            "reconstruction from two views, MICCAI, LNCS 7511, 584",
+            traits=_MATCHING_TRAITS,
+            solve=epipolar_dp.solve,
+        ),
+        "spline_fit": Method(
+            name="spline_fit",
+            summary="one B-spline in space fitted to the centrelines of all views, from `epipolar_dp`",
+            citation="tubesight; P-splines: Eilers, Marx 1996, Statistical Science 11, 89",
+            traits=MappingProxyType({**_MATCHING_TRAITS, "cameras": "2 or more"}),
+            solve=spline_fit.SplineFit(starter=epipolar_dp.solve),
         ),
         **RIVALS,
     }

@@ -125,7 +125,7 @@ def _beside(light: Array, band: Array) -> tuple[Array, Array]:
 def _likeness(light: Array, colour: Array) -> Array:
     """Cosine (...) between colours (..., 3) and one of them, which does not depend on how well they are lit."""
     size = np.linalg.norm(light, axis=-1) * np.linalg.norm(colour)
-    return np.divide(light @ colour, size, out=np.zeros(size.shape), where=size > 0)
+    return np.asarray(np.divide(light @ colour, size, out=np.zeros(size.shape), where=size > 0))
 
 
 def _parts(light: Array, colours: Array) -> Array:
