@@ -112,11 +112,11 @@ def run_benchmark(pairs: int, names: Sequence[str] = (), progress: Progress | No
     pairs
         How many pairs each method sees.
     names
-        Methods; all where empty.
+        Methods; where empty, all that need no more than the pictures of two cameras.
     progress
         Called with the number of pairs done and their total.
     """
-    names = tuple(names) or tuple(METHODS)
+    names = tuple(names) or tuple(n for n, m in METHODS.items() if m.scene == "plain" and not m.given)
     unknown = [name for name in names if name not in METHODS]
     if unknown:
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {unknown[0]!r}")
