@@ -22,6 +22,7 @@ from tubesight.cli import (
     init,
     methods,
     register,
+    reproduce,
     rig_export,
     run,
     simulate,
@@ -70,6 +71,7 @@ app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
 app.command("simulate")(simulate.command)
 app.command("bench")(bench.command)
+app.command("reproduce")(reproduce.command)
 app.command("devices")(devices.command)
 app.command("doctor")(doctor.command)
 
