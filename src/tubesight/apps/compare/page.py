@@ -54,13 +54,14 @@ figure {{ margin: 1.2rem 0 }}
 figcaption, small {{ color: #414d59 }}
 </style></head><body><main>
 <h1>Methods compared on identical pictures</h1>
-<p><small>tubesight {version}, {source}, {cores} cores of {platform}. Research use only, not a medical device.</small></p>
+<p><small>tubesight {version}, {source}, {cores} cores, {platform}.
+Research use only, not a medical device.</small></p>
 <p>{intro}</p>
 <h2>Errors and times</h2>
 <div class="scroll">{table}</div>
 <p>Each cell: mean, largest absolute error of the pairs that gave a shape. <b>curve</b> is the distance between the
-measured and the true centreline, the larger of the two directions: its mean along the curve averaged over the pairs, and
-its largest value. <b>time</b> is processor time of one core from pictures to curve, failures included.</p>
+measured and the true centreline, the larger of the two directions: its mean along the curve averaged over the pairs,
+and its largest value. <b>time</b> is processor time of one core from pictures to curve, failures included.</p>
 {figures}
 <h2>The nine criteria</h2>
 <p>Dalvand, Nahavandi and Howe (2016) list nine criteria for vision-based shape sensing and state, from the literature,
@@ -105,12 +106,12 @@ def _intro(made: Comparison) -> str:
     cases = len({row.case for row in made.rows})
     rendered = isinstance(made.about["pictures"], str)
     how = (
-        "Rendered photographs of tubes with exactly known shape, seen by cameras whose calibration is exact: every method "
-        "gets the same tubes, from the same places, with the same noise, and the pictures with bands, a grid or more "
+        "Rendered photographs of tubes with exactly known shape, seen by cameras whose calibration is exact: every "
+        "method gets the same tubes, from the same places, with the same noise, and the pictures with bands, a grid or more "
         "cameras that its paper needs. Rendered photographs are kinder than real ones."
         if rendered
-        else "The pictures of these folders with their own rig; methods whose paper needs bands, a grid or more cameras "
-        "get the same pictures and fail where they lack them."
+        else "The pictures of these folders with their own rig; methods whose paper needs bands, a grid or more "
+        "cameras get the same pictures and fail where they lack them."
     )
     return f"{len(made.methods)} methods on {cases} pairs of pictures. {how}"
 
