@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from tubesight.methods import cone_ray, dalvand, epipolar_dp, silhouette, spline_fit, triangulate
 from tubesight.methods.method import Method
+from tubesight.methods.rivals import RIVALS
 from tubesight.vision.reference import Reference
 
 _PAPER = (
@@ -103,5 +104,6 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             traits=MappingProxyType({**_MATCHING_TRAITS, "cameras": "2 or more"}),
             solve=spline_fit.SplineFit(starter=epipolar_dp.solve),
         ),
+        **RIVALS,
     }
 )
