@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from typing import cast
 
 import numpy as np
@@ -58,6 +59,8 @@ _RMS_MAX_PX, _RMS_MAX_SD = 0.6, 6.0
 _CLAMP = Pose.identity()
 
 Starter = Callable[[Mapping[str, View], Rig, Tube], Curve3D]
+# Finds a curve whatever its shape, where there is one.
+AnyShape = Callable[[], Curve3D | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +88,12 @@ class Silhouette:
         """
         tip = _tip(views, rig)
         start = _CLAMP if tube.clamped else self._start(views, rig, tube)
+        any_shape = cache(partial(self._any_shape, views, rig, tube))
         end_radius = _radius_guess(views, rig, tip, _LAST) if tube.tapered else None
         if tube.tapered:
-            views, tube = _made_even(views, rig, tube, start, tip)
+            views, tube = _made_even(views, rig, tube, start, tip, any_shape)
         problem = _problem(views, rig, tube, start, tip)
-        problem, chosen, why = choose_family(problem, tip, lambda: self._any_shape(views, rig, tube))
+        problem, chosen, why = choose_family(problem, tip, any_shape)
         if tube.tip.shape == "flat":
             end = chosen.nodes.points[-1], chosen.nodes.tangents[-1]
             tip = flat_tip(views, rig, *end, end_radius or problem.radius_mm)
@@ -149,7 +153,7 @@ def _problem(views: Mapping[str, View], rig: Rig, tube: Tube, start: Pose, tip: 
 
 
 def _made_even(
-    views: Mapping[str, View], rig: Rig, tube: Tube, start: Pose, tip: Array
+    views: Mapping[str, View], rig: Rig, tube: Tube, start: Pose, tip: Array, any_shape: AnyShape
 ) -> tuple[dict[str, View], Tube]:
     """Show a tapered tube as if it had the diameter of its base all along: views, and that tube."""
     radius = tube.diameter_mm / 2 if tube.diameter_mm else _radius_guess(views, rig, start.translation_mm, _FIRST)
@@ -157,8 +161,8 @@ def _made_even(
     even = replace(tube, diameter_mm=2 * radius, tip=end)
     # The ranges along the chord are a few percent off; those along the curve that they lead to are right.
     rough = evened(views, rig, np.stack([start.translation_mm, tip]), radius)
-    curve = choose_family(_problem(rough, rig, even, start, tip), tip)
-    return evened(views, rig, curve.nodes.points, radius), even
+    _, chosen, _ = choose_family(_problem(rough, rig, even, start, tip), tip, any_shape)
+    return evened(views, rig, chosen.nodes.points, radius), even
 
 
 def _radius_guess(views: Mapping[str, View], rig: Rig, place: Array, scans: slice) -> float:
@@ -198,7 +202,7 @@ def _frame(start_mm: Array, z: Array) -> Pose:
     return Pose(np.stack([x, np.cross(z, x), z], 1), start_mm)
 
 
-def choose_family(problem: Problem, tip: Array, any_shape: Callable[[], Curve3D | None]) -> tuple[Problem, Fit, str]:
+def choose_family(problem: Problem, tip: Array, any_shape: AnyShape) -> tuple[Problem, Fit, str]:
     """Fit families of growing freedom and return the simplest that explains the edges.
 
     Parameters

@@ -107,8 +107,8 @@ def _intro(made: Comparison) -> str:
     rendered = isinstance(made.about["pictures"], str)
     how = (
         "Rendered photographs of tubes with exactly known shape, seen by cameras whose calibration is exact: every "
-        "method gets the same tubes, from the same places, with the same noise, and the pictures with bands, a grid or more "
-        "cameras that its paper needs. Rendered photographs are kinder than real ones."
+        "method gets the same tubes, from the same places, with the same noise, and the pictures with bands, a grid or "
+        "more cameras that its paper needs. Rendered photographs are kinder than real ones."
         if rendered
         else "The pictures of these folders with their own rig; methods whose paper needs bands, a grid or more "
         "cameras get the same pictures and fail where they lack them."
