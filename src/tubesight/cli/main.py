@@ -14,6 +14,7 @@ from tubesight.cli import (
     calibrate,
     capture,
     check,
+    compare,
     demo,
     devices,
     doctor,
@@ -84,6 +85,7 @@ app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
 app.command("plan")(plan.command)
 app.command("simulate")(simulate.command)
+app.command("compare")(compare.command)
 app.command("bench")(bench.command)
 app.command("reproduce")(reproduce.command)
 app.command("devices")(devices.command)

@@ -58,12 +58,12 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                     "markers": "none",
                     "physical grid": "none",
                     "initial guess": "none",
-                    "circular arcs": "not needed: arcs, ellipses, polynomials of curvature, several segments",
+                    "circular arcs": "not needed: arcs, ellipses, several segments, splines of curvature",
                     "tip": "yes",
                     "3-D": "yes",
                 }
             ),
-            solve=silhouette.Silhouette(starter=cone_ray.solve),
+            solve=silhouette.Silhouette(starter=cone_ray.solve, general=epipolar_dp.solve),
         ),
         "reference": Method(
             name="reference",
