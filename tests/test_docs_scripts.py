@@ -48,7 +48,7 @@ def test_tables_of_wrong_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = [line.split("|")[1:-1] for line in errors.table("base", changes, rig, pairs, free)]
     nothing, shifted, turned = ([float(cell) for cell in line[1:5]] for line in lines[2:])
     assert nothing == [0.0] * 4
-    # A free tube is expressed in the wrong frame: its tip is off by the shift, its orientation by the turn, and its shape
+    # A free tube is expressed in the wrong frame: its tip is off by the shift, its orientation by the turn, its shape
     # by nothing. The numbers have two decimals; another way into the fit moves them by less.
     assert shifted[0] == pytest.approx(0.5, abs=0.015)
     assert turned[2] == pytest.approx(0.5, abs=0.015)
