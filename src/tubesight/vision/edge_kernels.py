@@ -11,7 +11,7 @@ import numpy as np
 from tubesight.core import Array
 from tubesight.core.kernels import part, short_part
 from tubesight.vision import edges
-from tubesight.vision.kernels import Picture, light
+from tubesight.vision.kernels import Picture, sample_line
 from tubesight.vision.math_kernels import Count, median
 
 ROOT_2_PI = float(np.sqrt(2 * np.pi))
@@ -37,32 +37,23 @@ def window(blur: float, depth: float) -> tuple[float, int]:
 
 @part
 def colour_profiles(
-    picture: Picture, origin: Array, way: Array, every: Count, low: float, step: float, count: int, apart: float
+    picture: Picture, origin: Array, way: Array, every: Count, low: float, step: float, count: int, lines: int
 ) -> tuple[Array, Array]:
-    """Twin of `edges.colour_profiles` on every so many-th line: colours of the picture, and of the empty scene.
-
-    The samples are the mean of two lines at a distance to both sides, or of one (0).
-    """
+    """Twin of `edges.colour_profiles` on every so many-th line: colours (3 N, L) of the picture and the empty scene."""
     image, scene, colours = picture
     rows = (len(origin) + every - 1) // every
     with_scene = scene.shape[0] > 0
-    colour, behind = np.empty((rows, count, 3)), np.empty((rows if with_scene else 0, count, 3))
+    colour, behind = np.empty((3 * rows, count)), np.empty((3 * rows if with_scene else 0, count))
+    at = np.empty((3, count))
     for n in range(rows):
-        x, y, dx, dy = origin[n * every, 0], origin[n * every, 1], way[n * every, 0], way[n * every, 1]
-        for k in range(count):
-            a = low + step * k
-            px, py = x + a * dx, y + a * dy
-            r, g, b = light(image, px - apart * dy, py + apart * dx)
-            if apart > 0:
-                u, v, w = light(image, px + apart * dy, py - apart * dx)
-                r, g, b = (r + u) / 2, (g + v) / 2, (b + w) / 2
-            colour[n, k, 0], colour[n, k, 1], colour[n, k, 2] = r, g, b
-            if with_scene:
-                r, g, b = light(scene, px - apart * dy, py + apart * dx)
-                if apart > 0:
-                    u, v, w = light(scene, px + apart * dy, py - apart * dx)
-                    r, g, b = (r + u) / 2, (g + v) / 2, (b + w) / 2
-                behind[n, k, 0], behind[n, k, 1], behind[n, k, 2] = r * colours[6], g * colours[7], b * colours[8]
+        m = n * every
+        start, direction = (origin[m, 0], origin[m, 1]), (way[m, 0], way[m, 1])
+        sample_line(image, start, direction, 0.0, low, step, lines, at, colour, 3 * n)
+        if with_scene:
+            sample_line(scene, start, direction, 0.0, low, step, lines, at, behind, 3 * n)
+            for c in range(3):
+                for k in range(count):
+                    behind[3 * n + c, k] *= colours[6 + c]
     return colour, behind
 
 
@@ -99,9 +90,9 @@ def mean_colour(colour: Array, n: int, low: float, step: float, first: float, la
             break
         left = min(int(position), end - 1)
         t = position - left
-        r += colour[n, left, 0] * (1 - t) + colour[n, left + 1, 0] * t
-        g += colour[n, left, 1] * (1 - t) + colour[n, left + 1, 1] * t
-        b += colour[n, left, 2] * (1 - t) + colour[n, left + 1, 2] * t
+        r += colour[3 * n, left] * (1 - t) + colour[3 * n, left + 1] * t
+        g += colour[3 * n + 1, left] * (1 - t) + colour[3 * n + 1, left + 1] * t
+        b += colour[3 * n + 2, left] * (1 - t) + colour[3 * n + 2, left + 1] * t
     samples = edges.PLATEAU_SAMPLES
     out[n, 0], out[n, 1], out[n, 2] = r / samples, g / samples, b / samples
 
@@ -134,7 +125,7 @@ def running_median(values: Array, column: Count) -> None:
 def both_sides(colour: Array, low: float, step: float, edge: Array, sigma: float, gray: bool) -> tuple[Array, Array]:
     """Twin of `edges.both_sides`: colours (N, 3) of tube and cloth."""
     inside, outside = clear_of_edge(sigma)
-    rows = len(colour)
+    rows = len(colour) // 3
     tube, cloth = np.empty((rows, 3)), np.empty((rows, 3))
     for n in range(rows):
         e = edge[n]
@@ -151,7 +142,7 @@ def local_share(
     colour: Array, behind: Array, tube: Array, cloth: Array, chroma: float, gray: bool, share: Array
 ) -> None:
     """Twin of `edges.local_share`; writes the share (N, L)."""
-    rows, count, _ = colour.shape
+    rows, count = share.shape
     scene, weight = len(behind) > 0, chroma * chroma
     r = g = b = wr = wg = wb = 0.0
     for n in range(rows):
@@ -159,7 +150,7 @@ def local_share(
             if k == 0 or scene:
                 r, g, b = cloth[n, 0], cloth[n, 1], cloth[n, 2]
                 if scene:
-                    r, g, b = behind[n, k, 0], behind[n, k, 1], behind[n, k, 2]
+                    r, g, b = behind[3 * n, k], behind[3 * n + 1, k], behind[3 * n + 2, k]
                 u, v, w = tube[n, 0] - r, tube[n, 1] - g, tube[n, 2] - b
                 wr, wg, wb = u, v, w
                 if not gray:
@@ -170,7 +161,9 @@ def local_share(
                         wb += (LUMA[2, d] + weight * RED_BLUE[2, d]) * off
                 power = max(wr * u + wg * v + wb * w, edges.POWER_MIN)
                 wr, wg, wb = wr / power, wg / power, wb / power
-            share[n, k] = (colour[n, k, 0] - r) * wr + (colour[n, k, 1] - g) * wg + (colour[n, k, 2] - b) * wb
+            share[n, k] = (
+                (colour[3 * n, k] - r) * wr + (colour[3 * n + 1, k] - g) * wg + (colour[3 * n + 2, k] - b) * wb
+            )
 
 
 @part
@@ -263,7 +256,7 @@ def measure_edges(
     colour: Array, behind: Array, low: float, step: float, guess: Array, blur: float, gray: bool
 ) -> tuple[Array, Array, float]:
     """Twin of `edges.measure_edges`: positions and drops (N,), and the doubt."""
-    rows, count, _ = colour.shape
+    rows, count = len(colour) // 3, colour.shape[1]
     position, drop, share = np.empty(rows), np.empty(rows), np.empty((rows, count))
     tube, cloth = both_sides(colour, low, step, guess, blur, gray)
     local_share(colour, behind, tube, cloth, 1.0 if gray else edges.CHROMA[0], gray, share)
@@ -284,7 +277,7 @@ def measure_edges(
 @part
 def blur_of(colour: Array, behind: Array, low: float, step: float, depth: float, gray: bool) -> float:
     """Twin of `edges.blur_of` where all guesses are 0."""
-    rows = len(colour)
+    rows = len(colour) // 3
     sigmas, found, share = np.empty(rows), np.int64(0), np.empty((rows, colour.shape[1]))
     tube, cloth = both_sides(colour, low, step, np.zeros(rows), edges.SIGMA_FIRST_PX, gray)
     local_share(colour, behind, tube, cloth, 1.0, gray, share)
