@@ -34,7 +34,7 @@ def middle_colour(
 
 @part
 def first_piece(image: Image, start: Numbers, way: Numbers, width: float, offset: float, out: Array) -> None:
-    """Samples (3, L) along the first piece of a tube, so far to its left."""
+    """Sample (3, L) along the first piece of a tube, so far to its left."""
     low, high = silhouette.ALONG_WIDTHS
     step = (high - low) * width / (silhouette.ALONG_COUNT - 1)
     origin = start[0] + offset * way[1], start[1] - offset * way[0]

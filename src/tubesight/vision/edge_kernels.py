@@ -60,7 +60,7 @@ def colour_profiles(
 @part
 def interpolate(rows: Array, n: int, low: float, step: float, place: float) -> float:
     """Twin of `edges.interpolate` for one place on row n of (N, L)."""
-    position = (place - low) / step
+    position = (place - low) * (1 / step)
     last = rows.shape[1] - 1
     if not (position >= 0 and position <= last):
         return np.nan
@@ -79,59 +79,45 @@ def mean_between(rows: Array, n: int, low: float, step: float, first: float, las
 
 
 @part
-def mean_colour(colour: Array, n: int, low: float, step: float, first: float, last: float, out: Array) -> None:
-    """Mean colour of row n between two places, into row n of `out` (N, 3)."""
-    end = colour.shape[1] - 1
-    r = g = b = 0.0
-    for k in range(edges.PLATEAU_SAMPLES):
-        position = (first + k * (last - first) / (edges.PLATEAU_SAMPLES - 1) - low) / step
-        if not (position >= 0 and position <= end):
-            r = g = b = np.nan
-            break
-        left = min(int(position), end - 1)
-        t = position - left
-        r += colour[3 * n, left] * (1 - t) + colour[3 * n, left + 1] * t
-        g += colour[3 * n + 1, left] * (1 - t) + colour[3 * n + 1, left + 1] * t
-        b += colour[3 * n + 2, left] * (1 - t) + colour[3 * n + 2, left + 1] * t
-    samples = edges.PLATEAU_SAMPLES
-    out[n, 0], out[n, 1], out[n, 2] = r / samples, g / samples, b / samples
-
-
-@part
-def running_median(values: Array, column: Count) -> None:
-    """Twin of `edges._running_median` for one column of (N, C), in place."""
-    count = len(values)
-    half = min(edges.NEIGHBOURS, count - 1)
-    source, near = np.empty(count), np.empty(2 * edges.NEIGHBOURS + 1)
+def running_median(rows: Array, row: int) -> None:
+    """Twin of `edges._running_median` for one row of (R, N), in place, without a branch that depends on the values."""
+    count, half = rows.shape[1], edges.NEIGHBOURS
+    near, inf = np.empty(count + 2 * half), np.inf
+    for k in range(count + 2 * half):
+        m = abs(k - half)
+        m = 2 * (count - 1) - m if m >= count else m
+        value = rows[row, max(m, 0)]
+        near[k] = value if m >= 0 and value == value else inf
     for n in range(count):
-        source[n] = values[n, column]
-    for n in range(count):
-        found = 0
-        for k in range(n - half, n + half + 1):
-            m = abs(k)
-            m = 2 * (count - 1) - m if m >= count else m
-            value = source[m]
-            if not np.isnan(value):
-                j = found
-                while j > 0 and near[j - 1] > value:
-                    near[j] = near[j - 1]
-                    j -= 1
-                near[j] = value
-                found += 1
-        values[n, column] = 0.5 * (near[(found - 1) // 2] + near[found // 2]) if found > 0 else np.nan
+        a, b, c, d, e = near[n], near[n + 1], near[n + 2], near[n + 3], near[n + 4]
+        found = int(a < inf) + int(b < inf) + int(c < inf) + int(d < inf) + int(e < inf)
+        # The smallest three of five in order; what is missing comes last.
+        a, b = min(a, b), max(a, b)
+        d, e = min(d, e), max(d, e)
+        c, e = min(c, e), max(c, e)
+        c, d = min(c, d), max(c, d)
+        b, e = min(b, e), max(b, e)
+        a, d = min(a, d), max(a, d)
+        a, c = min(a, c), max(a, c)
+        b, d = min(b, d), max(b, d)
+        b, c = min(b, c), max(b, c)
+        lower = a if found <= 2 else (b if found <= 4 else c)
+        upper = a if found <= 1 else (b if found <= 3 else c)
+        rows[row, n] = 0.5 * (lower + upper) if found > 0 else np.nan
 
 
 @part
 def both_sides(colour: Array, low: float, step: float, edge: Array, sigma: float, gray: bool) -> tuple[Array, Array]:
-    """Twin of `edges.both_sides`: colours (N, 3) of tube and cloth."""
+    """Twin of `edges.both_sides`: colours (3, N) of tube and cloth."""
     inside, outside = clear_of_edge(sigma)
-    rows = len(colour) // 3
-    tube, cloth = np.empty((rows, 3)), np.empty((rows, 3))
+    rows, channels = len(colour) // 3, 1 if gray else 3
+    tube, cloth = np.zeros((3, rows)), np.zeros((3, rows))
     for n in range(rows):
         e = edge[n]
-        mean_colour(colour, n, low, step, e - inside - edges.HIGH_PX, e - inside, tube)
-        mean_colour(colour, n, low, step, e + outside, e + outside + edges.LOW_PX, cloth)
-    for c in range(1 if gray else 3):
+        for c in range(channels):
+            tube[c, n] = mean_between(colour, 3 * n + c, low, step, e - inside - edges.HIGH_PX, e - inside)
+            cloth[c, n] = mean_between(colour, 3 * n + c, low, step, e + outside, e + outside + edges.LOW_PX)
+    for c in range(channels):
         running_median(tube, c)
         running_median(cloth, c)
     return tube, cloth
@@ -148,10 +134,10 @@ def local_share(
     for n in range(rows):
         for k in range(count):
             if k == 0 or scene:
-                r, g, b = cloth[n, 0], cloth[n, 1], cloth[n, 2]
+                r, g, b = cloth[0, n], cloth[1, n], cloth[2, n]
                 if scene:
                     r, g, b = behind[3 * n, k], behind[3 * n + 1, k], behind[3 * n + 2, k]
-                u, v, w = tube[n, 0] - r, tube[n, 1] - g, tube[n, 2] - b
+                u, v, w = tube[0, n] - r, tube[1, n] - g, tube[2, n] - b
                 wr, wg, wb = u, v, w
                 if not gray:
                     wr = wg = wb = 0.0
@@ -183,11 +169,10 @@ def half_level(
     last = min(int((position + reach - low) / step) + 2, share.shape[1] - 1)
     for k in range(first, last):
         above, below = share[n, k] - level, share[n, k + 1] - level
-        if above >= 0 and below < 0:
-            place = low + step * k + step * above / (above - below)
-            off = abs(place - position)
-            if off <= reach and off < nearest:
-                best, nearest = place, off
+        place = low + step * k + step * above / (above - below)
+        off = abs(place - position)
+        nearer = (above >= 0) & (below < 0) & (off <= reach) & (off < nearest)
+        best, nearest = (place, off) if nearer else (best, nearest)
     return best, drop
 
 
@@ -224,7 +209,7 @@ def measure_way(
     """Twin of `edges._measure`: writes positions and drops (N,)."""
     rows = len(share)
     inside, _ = clear_of_edge(blur)
-    rise, high = np.empty((rows, 1)), np.empty(rows)
+    rise, high = np.empty((1, rows)), np.empty(rows)
     for n in range(rows):
         position[n] = guess[n]
     for _ in range(passes):
@@ -232,10 +217,10 @@ def measure_way(
             first = position[n] - inside
             deep = first - edges.DEEPER_PX
             high[n] = mean_between(share, n, low, step, first - edges.HIGH_PX, first)
-            rise[n, 0] = (mean_between(share, n, low, step, deep - edges.HIGH_PX, deep) - high[n]) / edges.DEEPER_PX
-        running_median(rise, np.int64(0))
+            rise[0, n] = (mean_between(share, n, low, step, deep - edges.HIGH_PX, deep) - high[n]) / edges.DEEPER_PX
+        running_median(rise, 0)
         for n in range(rows):
-            r = 0.0 if np.isnan(rise[n, 0]) else min(max(rise[n, 0], -edges.RISE_MAX), edges.RISE_MAX)
+            r = 0.0 if np.isnan(rise[0, n]) else min(max(rise[0, n], -edges.RISE_MAX), edges.RISE_MAX)
             position[n], drop[n] = half_level(share, n, low, step, position[n], high[n], blur, r)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from tubesight.core import Array, Image
 from tubesight.core.kernels import part, short_part
 from tubesight.vision import ending, falls, pairs, walker
-from tubesight.vision.math_kernels import Count, median, parabola
+from tubesight.vision.math_kernels import Count, length, median, parabola
 from tubesight.vision.signal import LINEAR_LIGHT, NOISE, SHADING_CLOTH
 
 Numbers = tuple[float, ...]
@@ -169,7 +169,7 @@ def reach_of(width_px: float) -> float:
 
 
 @part
-def find_falls(work: Array, low: float, step: float, reach_px: float, side: int) -> Count:
+def find_falls(work: Array, low: float, step: float, reach_px: float, side: int) -> int:
     """Twin of `falls.falls` for the row `SHARE` of `work`: the number of peaks, and of each its place, drop and slope.
 
     They are written to the rows from `FALLS` on, another three for the other side.
@@ -357,7 +357,7 @@ def last_way(middles: Array) -> tuple[Numbers, Numbers, float]:
     t, scale = np.empty(used), 1e-9
     for k in range(used):
         n = last + 1 - used + k
-        t[k] = -np.hypot(middles[n, 0] - middles[last, 0], middles[n, 1] - middles[last, 1])
+        t[k] = -length(middles[n, 0] - middles[last, 0], middles[n, 1] - middles[last, 1])
         scale = max(scale, -t[k])
     for k in range(used):
         t[k] /= scale

@@ -84,7 +84,7 @@ def see_from_base(
 ) -> Seen:
     """Twin of `see.see` from a known start with a tip of a known size."""
     channels = image.shape[2]
-    if not (0 < width and width < max(image.shape[0], image.shape[1])):
+    if not (width > 0 and width < max(image.shape[0], image.shape[1])):
         return doubtful()
     colours, difference = learn(image, behind, start, way, width)
     why = segmenter(colours, difference, channels, behind.shape[0] > 0)

@@ -64,7 +64,7 @@ def sample(image: Image, points_px: Array) -> Array:
 
 
 def sample_across(image: Image, points_px: Array, way: Array, lines: int = 1) -> Array:
-    """Samples in linear light on lines across a contour.
+    """Sample in linear light on lines across a contour.
 
     What lies across a contour does not change along it, so each sample is moved along the contour to the nearest row
     (or column, for lines steeper than 45 degrees) of pixels and lies between two of them: half the pixels of a
@@ -85,7 +85,7 @@ def sample_across(image: Image, points_px: Array, way: Array, lines: int = 1) ->
         (..., C) with C = 1 for gray; NaN where one of the lines is outside of the picture.
     """
     image = planes(image)
-    height, width, channels = image.shape
+    channels = image.shape[2]
     x, y = points_px[..., 0], points_px[..., 1]
     if not image.size:
         return np.full((*x.shape, channels), np.nan)

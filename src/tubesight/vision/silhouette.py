@@ -103,7 +103,7 @@ def _middle_colour(samples: Array) -> Array:
     return np.median(flat, axis=0) if len(flat) >= SAMPLES_MIN else np.full(samples.shape[-1], np.nan)
 
 
-def reason(tube: Sequence[float], cloth: Sequence[float]) -> int:
+def reason(tube: Sequence[float] | Array, cloth: Sequence[float] | Array) -> int:
     """Which of the `REASONS` two colours of one or three numbers give."""
     one, other, chroma = 0.0, 0.0, 0.0
     for c in range(len(tube)):

@@ -13,7 +13,7 @@ from tubesight.vision import edges, tip
 from tubesight.vision.edge_kernels import colour_profiles, measure_edges, window
 from tubesight.vision.ending import FOUND
 from tubesight.vision.kernels import WORK_ROWS, Numbers, Picture, nearest_fall, profile, spacing
-from tubesight.vision.math_kernels import Count, median, solve
+from tubesight.vision.math_kernels import Count, length, median, solve
 
 Found = tuple[int, Array, Numbers]
 
@@ -82,14 +82,14 @@ def fine(
     way: Array,
     radius: float,
     blur: float,
-    count_lines: int,
+    averaged: int,
     shift: float,
     found: Array,
 ) -> float:
     """Twin of `tip._fine`; writes the edges (N,), all moved by the shift, and returns the doubt."""
     low, count = window(blur, radius)
     rows, step = len(origin), edges.SPACING_PX
-    lines = colour_profiles(picture, origin, way, np.int64(1), low, step, count, count_lines)
+    lines = colour_profiles(picture, origin, way, np.int64(1), low, step, count, averaged)
     gray = picture.image.shape[2] < 3
     position, _, doubt = measure_edges(lines[0], lines[1], low, step, np.zeros(rows), blur, gray)
     for n in range(rows):
@@ -130,7 +130,7 @@ def circle(points: Array, count: Count, keep: Mask) -> tuple[float, float, float
         cx, cy = right[0, 0], right[1, 0]
         radius = np.sqrt(max(right[2, 0] + cx * cx + cy * cy, 0.0))
         for n in range(count):
-            off[n] = abs(np.hypot(points[n, 0] - mx - cx, points[n, 1] - my - cy) - radius)
+            off[n] = abs(length(points[n, 0] - mx - cx, points[n, 1] - my - cy) - radius)
             values[n] = off[n]
         limit = min(max(tip.OFF_SIGMAS * median(values, count), tip.OFF_PX), tip.OFF_PX + tip.OFF_CIRCLE * radius)
         for n in range(count):
@@ -174,7 +174,7 @@ def ball(
                 used += 1
         if not abs(size / expected - 1) < (2 * tip.RADIUS_OFF if sweep == 0 else tip.RADIUS_OFF):
             return failed(tip.RADIUS, size)
-        moved = np.hypot(x - cx, y - cy) + abs(size - radius)
+        moved = length(x - cx, y - cy) + abs(size - radius)
         cx, cy, radius = x, y, expected if first and sweep + 1 < len(tip.SWEEPS) else size
         if not first and moved < tip.MOVED_PX:
             break
@@ -184,7 +184,7 @@ def ball(
         return failed(tip.NOT_ROUND, np.nan)
     total = 0.0
     for n in range(used):
-        off = np.hypot(points[n, 0] - cx, points[n, 1] - cy) - radius
+        off = length(points[n, 0] - cx, points[n, 1] - cy) - radius
         total += off * off
     return FOUND, points[:used], (cx, cy, radius, np.sqrt(total / used), doubt, used / count)
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from tubesight.core import Array, readonly
 
-
 T = TypeVar("T")
 
 
