@@ -352,7 +352,8 @@ _POINTS_CAPTION = (
 )
 _SYSTEMATIC_CAPTION = (
     "A third of the points of one view off to one side by 1 mm, without other noise: mean error of tip and length. "
-    "Least squares averages it; the closed forms take the tip from the end of the curve alone."
+    "cone_ray looks at the tip alone, which only an error of the last third reaches; least squares follows part of it "
+    "wherever it is; the fits of the paper follow it most."
 )
 
 
@@ -367,7 +368,7 @@ def _noise_figure(rows: Sequence[Row]) -> Drawing:
                 own = [_pooled(of(rows, estimator=name, ends=ends, points=_MAIN, noise_mm=n)) for n in _NOISE_MM]
                 _line(panel, _NOISE_MM, [o[f"{quantity}_mean"] for o in own], name, colour, marker, known)
         drawing.paper_line(panel, [paper], "paper, mean")
-        panel.set_yscale("log")
+        drawing.decimal_log(panel)
         panel.set_title(heading)
     for panel in axes[1]:
         panel.set_xlabel("noise on the points [mm]")
@@ -394,7 +395,8 @@ def _points_figure(rows: Sequence[Row]) -> Drawing:
                 _line(panel, _COUNTS, [o[f"{_QUANTITIES[k]}_mean"] for o in own], name, colour, marker, known)
         drawing.paper_line(panel, [_PAPER_MEAN[k]], "paper, mean")
         panel.axvspan(_mask_steps()[2], _COUNTS[-1] * 1.1, color="#eeeeee", zorder=0)
-        panel.set(xscale="log", yscale="log", title=_HEADINGS[k], xlabel="number of points")
+        drawing.decimal_log(panel)
+        panel.set(xscale="log", title=_HEADINGS[k], xlabel="number of points")
         panel.set_xlim(_COUNTS[0] * 0.9, _COUNTS[-1] * 1.1)
         panel.set_xticks(_COUNTS, [str(n) for n in _COUNTS])
         panel.minorticks_off()
