@@ -108,7 +108,7 @@ def command(
         typer.echo(to_json(figures.as_dict()))
     else:
         stdout().print(figures.line(), soft_wrap=True)
-        for line in [*refusals(figures), *recorded(figures)]:
+        for line in [*refusals(figures), *recorded(figures), *figures.rig]:
             stdout().print(line, soft_wrap=True)
     raise typer.Exit(0 if figures.ok else 1)
 
@@ -127,11 +127,12 @@ def screen(stats: bool, quiet: bool) -> Iterator[Callable[[Moment], None]]:
 
     def line(moment: Moment) -> None:
         nonlocal told_s, told_state
-        state, now = str(moment.tracked.state), time.monotonic()
+        tracked, now = moment.tracked, time.monotonic()
+        state = str(tracked.state) + (", the rig changed" if tracked.moved else "")
         if quiet or (state == told_state and now - told_s < every):
             return
         if state != told_state:
-            remark([" | ".join([state, *moment.tracked.notes])])
+            remark([" | ".join(filter(None, [state, *tracked.notes, tracked.moved]))])
         else:
             remark([f"{state} | {moment.figures().line()}"])
         told_s, told_state = now, state
@@ -171,7 +172,13 @@ def view_lines(tracked: Tracked, figures: Figures) -> list[str]:
         f"skew {figures.skew_ms:.2f} ms   late {figures.late}"
     )
     lines += refusals(figures)
-    return [*lines, *recorded(figures), *tracked.notes, "Ctrl-C ends it. Research use only, not a medical device."]
+    return [
+        *lines,
+        *recorded(figures),
+        *tracked.notes,
+        *filter(None, [tracked.moved]),
+        "Ctrl-C ends it. Research use only, not a medical device.",
+    ]
 
 
 def recorded(figures: Figures) -> list[str]:
