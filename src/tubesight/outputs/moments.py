@@ -17,8 +17,8 @@ def moment_data(tracked: Tracked) -> dict[str, Any]:
     """Turn a live result into plain data; numbers that are not known are null.
 
     Keys: ``state``, ``time_s``, ``skew_s``, ``latency_s``, ``late``, ``faults``, ``notes``, ``moved``, ``pictures``
-    (numbers by camera), ``times_s`` (by camera), ``row`` (the columns of ``shapes.csv``), ``s_mm``, ``xyz_mm``, ``sd_mm`` (the
-    curve at 101 equal arc lengths, as in ``curves.npz``), ``filtered`` (``position_mm``, ``sd_mm``).
+    (numbers by camera), ``times_s`` (by camera), ``row`` (the columns of ``shapes.csv``), ``s_mm``, ``xyz_mm``,
+    ``sd_mm`` (the curve at 101 equal arc lengths, as in ``curves.npz``), ``filtered`` (``position_mm``, ``sd_mm``).
     """
     data: dict[str, Any] = {
         "state": str(tracked.state),
