@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from tubesight.apps import doctor
-from tubesight.sources.devices import list_devices
 from tubesight.apps.doctor import Check, check_cache, check_cameras, check_disk, check_opencv, check_port
 from tubesight.cli.main import main
+from tubesight.sources.devices import list_devices
 
 
 def leave(*args: str) -> int:

@@ -49,9 +49,7 @@ def test_an_offset_is_taken_off_the_times() -> None:
     assert pairs[0].skew_s == pytest.approx(0.0, abs=1e-12) and pairs[0].time_s == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(
-    ("second", "why"), [(1.0, Refusal.REPEATED), (0.9, Refusal.OLD), (math.nan, Refusal.UNTIMED)]
-)
+@pytest.mark.parametrize(("second", "why"), [(1.0, Refusal.REPEATED), (0.9, Refusal.OLD), (math.nan, Refusal.UNTIMED)])
 def test_pictures_that_cannot_be_paired_are_refused_with_the_reason(second: float, why: Refusal) -> None:
     _, refused, _ = feed(RULE, [frame("left", 1.0, 1), frame("left", second, 2)])
     assert [(f.number, reason) for f, reason in refused] == [(2, why)]

@@ -90,6 +90,8 @@ class McapFile:
 
     def _cut(self) -> None:
         raw = self._stream.raw
+        if raw.closed:
+            return
         with suppress(OSError):
             raw.truncate(self._good)
         # The buffer that could not be written must not be tried again on closing: the file below it goes first.

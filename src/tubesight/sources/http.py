@@ -87,7 +87,7 @@ class HttpPictures:
         if self._response is None or self._boundary is None:
             return False
         try:
-            if select.select([self._response], [], [], 0.0)[0]:
+            if not self._response.isclosed() and select.select([self._response], [], [], 0.0)[0]:
                 self._buffer += self._response.read1(_CHUNK_BYTES)
         except (OSError, ValueError, HTTPException):
             return False
