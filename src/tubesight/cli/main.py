@@ -30,6 +30,7 @@ from tubesight.cli import (
     rig_export,
     run,
     simulate,
+    soak,
 )
 from tubesight.cli.places import BaseCommand
 from tubesight.core.errors import InputError
@@ -80,6 +81,7 @@ app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
 app.command("simulate")(simulate.command)
 app.command("bench")(bench.command)
+app.command("soak")(soak.command)
 app.command("devices")(devices.command)
 app.command("doctor")(doctor.command)
 
