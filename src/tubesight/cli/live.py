@@ -11,10 +11,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tubesight.cli.live_options import (
+    BackgroundOption,
+    BaseOption,
     EveryOption,
+    GrayOption,
+    OffsetOption,
     PicturesOption,
+    RigOption,
+    SecondsOption,
     SizeOption,
     SourceOption,
+    ToleranceOption,
+    TubeOption,
     offsets_of,
     pictures_of,
     size_of,
@@ -33,35 +41,19 @@ _VIEW_S, _LINE_S = 0.1, 5.0
 
 def command(
     source: SourceOption,
-    rig: Annotated[
-        Path | None, typer.Option("--rig", help="The cameras: `rig.yaml`. Simulated cameras alone need none.")
-    ] = None,
-    tube: Annotated[Path | None, typer.Option("--tube", help="What is known of the tube: `tube.yaml`.")] = None,
+    rig: RigOption = None,
+    tube: TubeOption = None,
     method: Annotated[str | None, typer.Option("--method", help="One of `tubesight methods`.")] = None,
-    background: Annotated[
-        Path | None, typer.Option("--background", help="Pictures without the tube, one subfolder per camera.")
-    ] = None,
-    base: Annotated[
-        list[str] | None,
-        typer.Option("--base", metavar="CAMERA:X,Y ...", help="Pixel of the tube's base in each camera."),
-    ] = None,
+    background: BackgroundOption = None,
+    base: BaseOption = None,
     size: SizeOption = None,
-    gray: Annotated[bool, typer.Option("--gray", help="Do without colour: pictures decode faster.")] = False,
-    tolerance: Annotated[
-        float, typer.Option("--tolerance", min=0, help="Largest difference between the times of a pair, ms.")
-    ] = 10.0,
-    offset: Annotated[
-        list[str] | None,
-        typer.Option("--offset", metavar="CAMERA=MS", help="Constant delay of a camera's times, ms; repeat."),
-    ] = None,
-    deadline: Annotated[
-        float, typer.Option("--deadline", min=0, help="Flag results later than this after their pictures, ms.")
-    ] = 50.0,
-    seconds: Annotated[float | None, typer.Option("--seconds", min=0, help="Stop after so long.")] = None,
+    gray: GrayOption = False,
+    tolerance: ToleranceOption = 10.0,
+    offset: OffsetOption = None,
+    deadline: Annotated[float, typer.Option("--deadline", min=0, help="Flag results later than this, ms.")] = 50.0,
+    seconds: SecondsOption = None,
     filtered: Annotated[bool, typer.Option("--filter", help="Filter the shape too, beside the measured one.")] = False,
-    record: Annotated[
-        Path | None, typer.Option("--record", help="Record results and pictures into this file, `.mcap`.")
-    ] = None,
+    record: Annotated[Path | None, typer.Option("--record", help="Record into this file, `.mcap`.")] = None,
     pictures: PicturesOption = "lossless",
     every: EveryOption = 1,
     igtl: Annotated[
@@ -92,9 +84,8 @@ def command(
     from tubesight.apps.live.options import LiveOptions, RecordOptions, set_up
     from tubesight.apps.live.publishing import Place, PublishOptions, open_subscribers
     from tubesight.apps.live.session import run_session
-    from tubesight.cli.console import remark, stdout
+    from tubesight.cli.console import remark
     from tubesight.cli.run import refuse_unknown
-    from tubesight.files.tables import to_json
     from tubesight.sensor import DEFAULT_METHOD
 
     if method is not None:
@@ -126,13 +117,20 @@ def command(
     remark([*setup.messages, *addresses])
     with screen(stats, json) as tell:
         figures = run_session(options, setup, tell, subscribers)
+    report(figures, json, [figures.line()])
+    raise typer.Exit(0 if figures.ok else 1)
+
+
+def report(figures: Figures, json: bool, first: list[str]) -> None:
+    """Print the figures of a session that ended: JSON, or some lines after the first."""
+    from tubesight.cli.console import stdout
+    from tubesight.files.tables import to_json
+
     if json:
         typer.echo(to_json(figures.as_dict()))
-    else:
-        stdout().print(figures.line(), soft_wrap=True)
-        for line in [*refusals(figures), *recorded(figures)]:
-            stdout().print(line, soft_wrap=True)
-    raise typer.Exit(0 if figures.ok else 1)
+        return
+    for line in [*first, *refusals(figures), *recorded(figures), *figures.rig]:
+        stdout().print(line, soft_wrap=True)
 
 
 @contextmanager
@@ -149,11 +147,12 @@ def screen(stats: bool, quiet: bool) -> Iterator[Callable[[Moment], None]]:
 
     def line(moment: Moment) -> None:
         nonlocal told_s, told_state
-        state, now = str(moment.tracked.state), time.monotonic()
+        tracked, now = moment.tracked, time.monotonic()
+        state = str(tracked.state) + (", the rig changed" if tracked.moved else "")
         if quiet or (state == told_state and now - told_s < every):
             return
         if state != told_state:
-            remark([" | ".join([state, *moment.tracked.notes])])
+            remark([" | ".join(filter(None, [state, *tracked.notes, tracked.moved]))])
         else:
             remark([f"{state} | {moment.figures().line()}"])
         told_s, told_state = now, state
@@ -193,7 +192,13 @@ def view_lines(tracked: Tracked, figures: Figures) -> list[str]:
         f"skew {figures.skew_ms:.2f} ms   late {figures.late}"
     )
     lines += refusals(figures)
-    return [*lines, *recorded(figures), *tracked.notes, "Ctrl-C ends it. Research use only, not a medical device."]
+    return [
+        *lines,
+        *recorded(figures),
+        *tracked.notes,
+        *filter(None, [tracked.moved]),
+        "Ctrl-C ends it. Research use only, not a medical device.",
+    ]
 
 
 def recorded(figures: Figures) -> list[str]:

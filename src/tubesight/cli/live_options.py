@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -24,6 +25,25 @@ SizeOption = Annotated[
     str | None, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Size of picture to ask the cameras for.")
 ]
 
+RigOption = Annotated[
+    Path | None, typer.Option("--rig", help="The cameras: `rig.yaml`. Simulated cameras alone need none.")
+]
+TubeOption = Annotated[Path | None, typer.Option("--tube", help="What is known of the tube: `tube.yaml`.")]
+BackgroundOption = Annotated[
+    Path | None, typer.Option("--background", help="Pictures without the tube, one subfolder per camera.")
+]
+BaseOption = Annotated[
+    list[str] | None, typer.Option("--base", metavar="CAMERA:X,Y ...", help="Pixel of the tube's base in each camera.")
+]
+GrayOption = Annotated[bool, typer.Option("--gray", help="Do without colour: pictures decode faster.")]
+ToleranceOption = Annotated[
+    float, typer.Option("--tolerance", min=0, help="Largest difference between the times of a pair, ms.")
+]
+OffsetOption = Annotated[
+    list[str] | None,
+    typer.Option("--offset", metavar="CAMERA=MS", help="Constant delay of a camera's times, ms; repeat."),
+]
+SecondsOption = Annotated[float | None, typer.Option("--seconds", min=0, help="Stop after so long.")]
 PicturesOption = Annotated[
     str,
     typer.Option(

@@ -33,6 +33,7 @@ from tubesight.cli import (
     rig_export,
     run,
     simulate,
+    soak,
     view,
 )
 from tubesight.cli.places import BaseCommand
@@ -88,6 +89,7 @@ app.command("simulate")(simulate.command)
 app.command("compare")(compare.command)
 app.command("bench")(bench.command)
 app.command("reproduce")(reproduce.command)
+app.command("soak")(soak.command)
 app.command("devices")(devices.command)
 app.command("doctor")(doctor.command)
 

@@ -9,9 +9,14 @@ import typer
 
 from tubesight.cli.live_options import (
     EveryOption,
+    GrayOption,
     PicturesOption,
+    RigOption,
+    SecondsOption,
     SizeOption,
     SourceOption,
+    ToleranceOption,
+    TubeOption,
     pictures_of,
     size_of,
     sources_of,
@@ -21,18 +26,14 @@ from tubesight.cli.live_options import (
 def command(
     source: SourceOption,
     out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write, `.mcap`; must be new.")],
-    rig: Annotated[
-        Path | None, typer.Option("--rig", help="The cameras: `rig.yaml`. Simulated cameras alone need none.")
-    ] = None,
-    tube: Annotated[Path | None, typer.Option("--tube", help="What is known of the tube: `tube.yaml`.")] = None,
+    rig: RigOption = None,
+    tube: TubeOption = None,
     size: SizeOption = None,
-    gray: Annotated[bool, typer.Option("--gray", help="Do without colour.")] = False,
-    tolerance: Annotated[
-        float, typer.Option("--tolerance", min=0, help="Largest difference between the times of a pair, ms.")
-    ] = 10.0,
+    gray: GrayOption = False,
+    tolerance: ToleranceOption = 10.0,
     pictures: PicturesOption = "lossless",
     every: EveryOption = 1,
-    seconds: Annotated[float | None, typer.Option("--seconds", min=0, help="Stop after so long.")] = None,
+    seconds: SecondsOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone, at the end.")] = False,
 ) -> None:
     """Record pairs of pictures without measuring them; `tubesight replay` measures them later.
@@ -41,9 +42,8 @@ def command(
     """
     from tubesight.apps.live.options import LiveOptions, RecordOptions, set_up
     from tubesight.apps.live.session import run_session
-    from tubesight.cli.console import remark, stdout
-    from tubesight.cli.live import recorded, refusals, screen
-    from tubesight.files.tables import to_json
+    from tubesight.cli.console import remark
+    from tubesight.cli.live import report, screen
 
     options = LiveOptions(
         sources=sources_of(source),
@@ -59,9 +59,5 @@ def command(
     remark(setup.messages)
     with screen(False, json) as tell:
         figures = run_session(options, setup, tell, measuring=False)
-    if json:
-        typer.echo(to_json(figures.as_dict()))
-    else:
-        for line in [*refusals(figures), *recorded(figures)]:
-            stdout().print(line, soft_wrap=True)
+    report(figures, json, [])
     raise typer.Exit(0 if figures.recorded.get("results") and not figures.recorded.get("stopped") else 1)

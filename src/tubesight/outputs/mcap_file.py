@@ -34,7 +34,7 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         need_mcap(str(path))
-        from mcap.writer import Writer
+        from mcap.writer import CompressionType, Writer
 
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -43,7 +43,8 @@ class McapFile:
             raise InputError(f"{path}: is there already; name a new file") from None
         except OSError as error:
             raise InputError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
-        self._writer = Writer(self._stream)
+        # Pixels with noise: 5 ms a picture of 2 MB, where zstd takes 15 ms and saves a third more.
+        self._writer = Writer(self._stream, compression=CompressionType.LZ4)
         self._channels: dict[str, int] = {}
         self._good = self.bytes = 0
         self._flushed_s = time.monotonic()
@@ -89,6 +90,8 @@ class McapFile:
 
     def _cut(self) -> None:
         raw = self._stream.raw
+        if raw.closed:
+            return
         with suppress(OSError):
             raw.truncate(self._good)
         # The buffer that could not be written must not be tried again on closing: the file below it goes first.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+import select
 import time
 import urllib.error
 import urllib.parse
@@ -80,6 +81,20 @@ class HttpPictures:
         except InputError:
             self.close()
             raise
+
+    def more_waits(self) -> bool:
+        """Whether the next picture of a stream has begun to arrive."""
+        if self._response is None or self._boundary is None:
+            return False
+        try:
+            if not self._response.isclosed() and select.select([self._response], [], [], 0.0)[0]:
+                self._buffer += self._response.read1(_CHUNK_BYTES)
+        except (OSError, ValueError, HTTPException):
+            return False
+        # The line end behind a picture and the next delimiter may come with the picture; headers come with the next.
+        place = self._buffer.find(self._boundary)
+        head = _END_OF_HEADERS.search(self._buffer, place) if place >= 0 else None
+        return head is not None and head.end() < len(self._buffer)
 
     def close(self) -> None:
         """Hang up."""

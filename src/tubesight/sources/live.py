@@ -146,6 +146,11 @@ class LiveCameras:
                 self._first_s = time.monotonic()
             return self._first_s
 
+    def _skipped(self, name: str, count: int) -> None:
+        with self._changed:
+            self._counts[name, None] += count
+            self._counts[name, Refusal.SUPERSEDED] += count
+
     def _broken(self, name: str) -> None:
         with self._changed:
             self._counts[name, None] += 1
@@ -215,6 +220,9 @@ class _Camera:
         state = self._state(picture)
         if state is Wholeness.NEW:
             self._before = picture
+        if picture.skipped:
+            self._number += picture.skipped
+            self._owner._skipped(self._name, picture.skipped)
         self._number += 1
         self._owner._arrived(Frame(self._name, picture.image, time_s, self._number, picture.coded), state)
 

@@ -27,11 +27,14 @@ class Picture:
         Of a live camera on the clock of `time.monotonic`; of a file from its beginning; NaN where it is not known.
     coded
         The picture as the camera sent it, empty where it came as pixels.
+    skipped
+        Pictures before this one that were passed over undecoded, since this one had come in the meantime.
     """
 
     image: Image
     time_s: float
     coded: bytes = b""
+    skipped: int = 0
 
 
 class Reader(Protocol):

@@ -60,6 +60,8 @@ class Tracked:
         From the pair's time to its result; NaN for a replay.
     late
         Whether that was more than the deadline.
+    moved
+        Which camera seems to have moved, in a sentence; empty while the rig is as it was.
     """
 
     result: Reconstruction | None
@@ -73,6 +75,7 @@ class Tracked:
     filtered: Moving | None = None
     latency_s: float = math.nan
     late: bool = False
+    moved: str = ""
 
 
 class Tracker:

@@ -68,7 +68,8 @@ def export(path: Path, form: str, out: Path) -> Exported:
 
 def read_results(recording: Recording) -> Results:
     """Read rows and curves of a recording; times count from its first result."""
-    rows, live, found = [], [], []
+    rows: list[ShapeRow] = []
+    live, found = [], []
     start_s = math.nan
     for entry in recording.entries():
         if not isinstance(entry, RecordedResult) or entry.data.get("row") is None:

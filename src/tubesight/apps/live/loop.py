@@ -14,6 +14,7 @@ from types import FrameType
 from typing import Any
 
 from tubesight.apps.live.options import LiveOptions, Setup
+from tubesight.apps.live.rig_watch import RigWatch
 from tubesight.apps.live.stats import Figures, Stats
 from tubesight.core import InputError
 from tubesight.outputs.publish import Subscriber
@@ -80,25 +81,25 @@ def run_live(
     if measuring:
         warm_up(sensor)
     rule = PairingRule(tuple(setup.sources), options.tolerance_s, options.offset_s)
-    tracker, stats = Tracker(options.filtered), Stats()
+    tracker, stats, watch = Tracker(options.filtered), Stats(), RigWatch(setup.rig, setup.tube.clamped)
     with quiet_collector() as collect, _stop_at_term(), LiveCameras(setup.sources, rule) as cameras:
 
         def figures() -> Figures:
             return stats.figures(cameras.counts(), recorded())
 
         with suppress(KeyboardInterrupt):
-            for tracked in _results(options, cameras, tracker, sensor if measuring else None):
+            for tracked in _results(options, cameras, tracker, watch, sensor if measuring else None):
                 stats.add(tracked)
                 for subscriber in subscribers:
                     subscriber.publish(tracked)
                 tell(Moment(tracked, figures))
                 if cameras.idle:
                     collect()
-        return figures()
+        return replace(figures(), rig=watch.remarks())
 
 
 def _results(
-    options: LiveOptions, cameras: LiveCameras, tracker: Tracker, measure: ShapeSensor | None
+    options: LiveOptions, cameras: LiveCameras, tracker: Tracker, watch: RigWatch, measure: ShapeSensor | None
 ) -> Iterator[Tracked]:
     """Measure pairs as they come, and say when cameras fail and return."""
     start = time.monotonic()
@@ -127,7 +128,8 @@ def _results(
             continue
         tracked = tracker.step(measure(pair.pair(str(index))), pair)
         latency = time.monotonic() - pair.time_s
-        yield replace(tracked, latency_s=latency, late=latency > options.deadline_s)
+        moved = watch.add(tracked.result, pair.time_s) if tracked.result is not None else ""
+        yield replace(tracked, latency_s=latency, late=latency > options.deadline_s, moved=moved)
         index += 1
 
 

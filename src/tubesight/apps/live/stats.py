@@ -59,6 +59,8 @@ class Figures:
         Pictures by camera: arrived, and in no pair by reason.
     recorded
         What the recorder says; empty without one.
+    rig
+        What was found of the rig: a moved camera, delays between cameras, and what cannot be seen.
     """
 
     seconds: float
@@ -74,6 +76,7 @@ class Figures:
     status: Mapping[str, int]
     cameras: Mapping[str, Mapping[str, int]]
     recorded: Mapping[str, Any] = field(default_factory=dict)
+    rig: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for ``--json``."""
