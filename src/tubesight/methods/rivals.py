@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from tubesight.methods import arcs_planar, epipolar, markers, markers_arcs
+from tubesight.methods import arcs_planar, carving, epipolar, markers, markers_arcs, nurbs, som
 from tubesight.methods.method import Method
 from tubesight.vision.bands import Bands
+from tubesight.vision.region import see_region
 
 RIVALS: Mapping[str, Method] = MappingProxyType(
     {
@@ -91,6 +92,68 @@ RIVALS: Mapping[str, Method] = MappingProxyType(
             see=Bands(),
             given=("markers", "bands a section"),
             scene="grid",
+        ),
+        "nurbs": Method(
+            name="nurbs",
+            summary="a spline in space pulled onto the edges of all pictures, with as many knots as they are worth",
+            citation="after Martinsson, Gaspard, Bartoli, Lavest 2007, Energy-based reconstruction of 3D curves for "
+            "quality control, EMMCVPR, LNCS 4679, 414",
+            traits=MappingProxyType(
+                {
+                    "cameras": "2 or more, here 4",
+                    "markers": "none",
+                    "physical grid": "none",
+                    "initial guess": "a coarse polygon, here triangulated",
+                    "circular arcs": "not needed: spline",
+                    "tip": "no: ends stay where the polygon has them",
+                    "3-D": "yes",
+                }
+            ),
+            solve=nurbs.solve,
+            see=see_region,
+            given=("4 views",),
+            scene="four cameras",
+        ),
+        "carving": Method(
+            name="carving",
+            summary="space carved by the silhouettes of many cameras, thinned to a centreline",
+            citation="after Camarillo, Loewke, Carlson, Salisbury 2008, Vision based 3-D shape sensing of flexible "
+            "manipulators, ICRA, 2940",
+            traits=MappingProxyType(
+                {
+                    "cameras": "3 or more, here 8",
+                    "markers": "none",
+                    "physical grid": "none",
+                    "initial guess": "none",
+                    "circular arcs": "not needed: smoothing spline",
+                    "tip": "yes",
+                    "3-D": "yes",
+                }
+            ),
+            solve=carving.solve,
+            see=see_region,
+            given=("8 views",),
+            scene="eight cameras",
+        ),
+        "som": Method(
+            name="som",
+            summary="a chain of neurons drawn onto the silhouettes by a self-organising map",
+            citation="after Croom, Rucker, Romano, Webster 2010, Visual sensing of continuum robot shape using "
+            "self-organizing maps, ICRA, 4591",
+            traits=MappingProxyType(
+                {
+                    "cameras": "2 or more",
+                    "markers": "none",
+                    "physical grid": "none",
+                    "initial guess": "a chain, here a straight one",
+                    "circular arcs": "not needed: chain",
+                    "tip": "no: its ends shrink",
+                    "3-D": "yes",
+                }
+            ),
+            solve=som.solve,
+            see=see_region,
+            given=("initial guess",),
         ),
     }
 )
