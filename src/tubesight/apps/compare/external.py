@@ -120,13 +120,9 @@ def _run(job: Mapping[str, Any], python: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "job.npz", Path(folder) / "result.json"
         np.savez(source, **job)
+        command = [python, "-E", str(_WORKER), str(source), str(target)]
         try:
-            done = subprocess.run(
-                [python, "-E", str(_WORKER), str(source), str(target)],
-                capture_output=True,
-                text=True,
-                timeout=_LONGEST_S,
-            )
+            done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST_S)
         except subprocess.TimeoutExpired:
             return {"as_shipped": {"error": f"no result within {_LONGEST_S} s"}}
         if done.returncode != 0 or not target.is_file():
