@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+import textwrap
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -226,3 +227,44 @@ def test_broken_packages_are_left_out(
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert list(registry) == ["cone_ray"], "it is told once"
+
+
+def test_icp_reconstructor_that_is_not_there_is_told(photos: Path) -> None:
+    with pytest.raises(InputError, match=r"has no icpReconstructor .*--external-python"):
+        compare([photos], ["cone_ray"], external_python=sys.executable)
+    with pytest.raises(InputError, match=r"cannot be run .*--external-python"):
+        compare([photos], ["cone_ray"], external_python="no-such-python")
+
+
+@pytest.mark.parametrize("works", [True, False])
+def test_icp_reconstructor_is_called_in_its_own_process(works: bool, photos: Path, tmp_path: Path) -> None:
+    """An interpreter that stands in for the real one: it checks the job and answers as the worker does."""
+    fake = tmp_path / "python"
+    answer = """
+        line = [[0.0, 0.0, float(job["length_m"]) * k / 100] for k in range(101)]
+        result = {"as_shipped": {"error": "NameError: name 'verbose' is not defined"},
+                  "patched": {"points_m": line, "seconds": 2.0}}
+    """
+    code = f"""#!{sys.executable}
+import json, sys
+if sys.argv[1:3] != ["-E", "-c"]:
+    import numpy as np
+    job = np.load(sys.argv[3])
+    assert int(job["cameras"]) == 2 and job["projection0"].shape == (3, 4) and job["pixels1"].shape[1] == 2
+    if {works}:
+{textwrap.indent(textwrap.dedent(answer), " " * 8)}
+        json.dump(result, open(sys.argv[4], "w"))
+    else:
+        sys.exit("out of luck")
+"""
+    fake.write_text(code)
+    fake.chmod(0o755)
+    made = compare([photos], ["cone_ray"], external_python=str(fake)).as_dict()["methods"]
+    shipped, patched = made["icpReconstructor"], made["icpReconstructor_patched"]
+    assert shipped["failures"] == shipped["n"] == 2
+    assert shipped["given"] == patched["given"] == ["length", "masks of the other methods"]
+    assert patched["failures"] == (0 if works else 2)
+    if works:
+        # The line that the stand-in returns has the true length and misses the bend.
+        assert patched["length_max_mm"] < 0.1 and patched["tip_max_mm"] > 50
+        assert patched["ms_per_pair"] == 2000
