@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +21,12 @@ def command(
     ] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for the page, the rows and figures.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller pictures.")] = False,
+    external: Annotated[
+        bool, typer.Option("--external", help="Compare icpReconstructor too, in a process of its own.")
+    ] = False,
+    external_python: Annotated[
+        str, typer.Option("--external-python", metavar="PYTHON", help="Interpreter that has icpReconstructor.")
+    ] = sys.executable,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone.")] = False,
 ) -> None:
     """Measure the same pictures with every method and compare errors, times and what each needs.
@@ -37,7 +44,7 @@ def command(
 
     names = [name.strip() for text in methods or () for name in text.split(",")]
     with bar() as progress:
-        made = compare(folders or (), names, quick, progress)
+        made = compare(folders or (), names, quick, external_python if external else None, progress)
     if out is not None:
         written = write(made, out)
         remark(f"wrote {path}" for path in written)

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from tubesight.methods import cone_ray, dalvand, epipolar_dp, silhouette, spline_fit, triangulate
 from tubesight.methods.method import Method
+from tubesight.methods.plugins import Registry
 from tubesight.methods.rivals import RIVALS
 from tubesight.vision.reference import Reference
 
@@ -39,7 +40,7 @@ _MATCHING_TRAITS: Mapping[str, str] = MappingProxyType(
     }
 )
 
-METHODS: Mapping[str, Method] = MappingProxyType(
+METHODS: Mapping[str, Method] = Registry(
     {
         "cone_ray": Method(
             name="cone_ray",

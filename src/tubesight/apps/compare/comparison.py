@@ -16,6 +16,7 @@ import numpy as np
 
 from tubesight import __version__
 from tubesight.apps.bench import one_thread
+from tubesight.apps.compare import external
 from tubesight.apps.compare.cases import Case, by_resolution, experiment, of_folders
 from tubesight.apps.compare.criteria import ROUND, best_arc_mm, judged, stated
 from tubesight.apps.compare.measure import COLUMNS, Measured, Row, largest, mean, measured
@@ -28,6 +29,8 @@ from tubesight.outputs.overlay import draw_overlay
 
 Progress = Callable[[str, int, int], None]
 
+# icpReconstructor takes 5 to 160 s a pair: it gets at most so many of the cases, evenly spread.
+_EXTERNAL = 5
 # The worst case of a method is drawn for this many of its cameras.
 _DRAWN = 2
 _TRUE_BGR = (70, 200, 70)
@@ -49,6 +52,8 @@ class Comparison:
     ----------
     rows, by_resolution
         Of the cases, and of some of them at several resolutions.
+    given
+        By method: what it is given beyond two calibrated pictures.
     criteria
         By method, then by criterion: met, not met, or not decided.
     worst
@@ -59,6 +64,7 @@ class Comparison:
 
     rows: tuple[Row, ...]
     by_resolution: tuple[Row, ...]
+    given: Mapping[str, tuple[str, ...]]
     criteria: Mapping[str, Mapping[str, bool | None]]
     worst: Mapping[str, Worst]
     about: Mapping[str, Any]
@@ -79,7 +85,7 @@ class Comparison:
     def _entry(self, name: str) -> dict[str, Any]:
         rows = self.of(name)
         quantities = ("tip_mm", "curve_mean_mm", "bending_deg", "orientation_deg", "length_mm")
-        entry: dict[str, Any] = {"given": list(METHODS[name].given), "cameras": max(row.cameras for row in rows)}
+        entry: dict[str, Any] = {"given": list(self.given[name]), "cameras": max(row.cameras for row in rows)}
         for quantity in quantities:
             stem, unit = quantity.removesuffix("_mm").removesuffix("_deg"), quantity.rsplit("_", 1)[1]
             entry[f"{stem.removesuffix('_mean')}_mean_{unit}"] = mean(rows, quantity)
@@ -109,6 +115,7 @@ def compare(
     folders: Sequence[Path] = (),
     names: Sequence[str] = (),
     quick: bool = False,
+    external_python: str | None = None,
     progress: Progress = lambda step, done, total: None,
 ) -> Comparison:
     """Measure every case with every method.
@@ -121,14 +128,18 @@ def compare(
         Methods; all where empty.
     quick
         Fewer cases of fewer pixels: two minutes instead of an hour.
+    external_python
+        Interpreter of an environment with icpReconstructor, which is then compared too, on a few of the cases.
     progress
         Called with what is being done, how many are done and how many there are.
 
     Raises
     ------
     InputError
-        If a method is not known or a folder cannot be used.
+        If a method is not known, a folder cannot be used, or icpReconstructor is not there.
     """
+    if external_python is not None:
+        external.check(external_python)
     unknown = [name for name in names if name not in METHODS]
     if unknown:
         raise InputError(f"--methods: {unknown_name('method', unknown[0], METHODS)}")
@@ -139,12 +150,19 @@ def compare(
         _warm_up(cases[0], names)
         worst: dict[str, Worst] = {}
         rows = [_kept(made, case, worst) for made, case in _measured(cases, names, "comparing", progress)]
+        if external_python is not None:
+            few = cases[:: -(-len(cases) // _EXTERNAL)]
+            rows += [_kept(made, case, worst) for made, case in _external(few, external_python, progress)]
         finer = [made.row for made, _ in _measured(resolutions, names, "by resolution", progress)]
+    given = {name: METHODS[name].given for name in names}
+    if external_python is not None:
+        given |= dict.fromkeys((external.SHIPPED, external.PATCHED), external.GIVEN)
     return Comparison(
         tuple(rows),
         tuple(finer),
-        _criteria(cases, names, rows),
-        {name: worst[name] for name in names},
+        given,
+        _criteria(cases, given, rows),
+        {name: worst[name] for name in given},
         {
             "version": __version__,
             "pictures": [str(folder) for folder in folders] or "experiment 1, rendered, true rig",
@@ -166,6 +184,13 @@ def _measured(
         for made in measured(case, names):
             yield made, case
         progress(step, done, len(cases))
+
+
+def _external(cases: Sequence[Case], python: str, progress: Progress) -> Iterator[tuple[Measured, Case]]:
+    for done, case in enumerate(cases, start=1):
+        for made in external.external(case, python):
+            yield made, case
+        progress("icpReconstructor", done, len(cases))
 
 
 def _kept(made: Measured, case: Case, worst: dict[str, Worst]) -> Row:
@@ -199,10 +224,11 @@ def _drawn(made: Measured, case: Case) -> Image:
     return draw_overlay(FramePair(images, pair.name), made.result, part)
 
 
-def _criteria(cases: Sequence[Case], names: Sequence[str], rows: Sequence[Row]) -> dict[str, dict[str, bool | None]]:
+def _criteria(
+    cases: Sequence[Case], given: Mapping[str, tuple[str, ...]], rows: Sequence[Row]
+) -> dict[str, dict[str, bool | None]]:
     bent = [best_arc_mm(case.true) for case in cases if case.true.kind not in ROUND]
     arc_mm = float(np.mean(bent)) if bent else nan
     radius_mm = min((case.tube.diameter_mm / 2 for case in cases if case.tube.diameter_mm), default=nan)
-    return {
-        name: judged(METHODS[name], [row for row in rows if row.method == name], radius_mm, arc_mm) for name in names
-    }
+    own = {name: [row for row in rows if row.method == name] for name in given}
+    return {name: judged(given[name], own[name], radius_mm, arc_mm) for name in given}

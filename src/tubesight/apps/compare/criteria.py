@@ -12,7 +12,6 @@ from tubesight.apps.compare.measure import Row, largest, mean
 from tubesight.apps.evaluate import distance_to_polyline
 from tubesight.files.truth import TrueShape
 from tubesight.geometry.arcs import free_arc
-from tubesight.methods import Method
 
 # 30 frames a second (criterion 1), and a millimetre (criterion 2).
 _FRAME_MS, _ACCURATE_MM = 1e3 / 30, 1.0
@@ -65,11 +64,13 @@ def stated(name: str) -> dict[str, bool | None]:
     return {str(k): marks[mark] for k, mark in enumerate(_STATED.get(name, ""), start=1)}
 
 
-def judged(method: Method, rows: Sequence[Row], radius_mm: float, best_arc_mm: float) -> dict[str, bool | None]:
+def judged(given: Sequence[str], rows: Sequence[Row], radius_mm: float, best_arc_mm: float) -> dict[str, bool | None]:
     """Decide the criteria by rows of one method; None where nothing measured decides.
 
     Parameters
     ----------
+    given
+        What the method is given beyond two calibrated pictures.
     radius_mm
         Of the tube, for criterion 9; NaN where it is not known.
     best_arc_mm
@@ -83,7 +84,7 @@ def judged(method: Method, rows: Sequence[Row], radius_mm: float, best_arc_mm: f
     return {
         "1": _under(mean(rows, "ms"), _FRAME_MS),
         "2": bool(good) and refused <= _REFUSED and tips <= _ACCURATE_MM and curves <= _ACCURATE_MM,
-        **{key: not any(word in given for given in method.given for word in words) for key, words in _NEEDS.items()},
+        **{key: not any(word in text for text in given for word in words) for key, words in _NEEDS.items()},
         "7": _under(mean(bent, "curve_mean_mm"), _ARC_SHARE * best_arc_mm),
         "8": bool(good) and mean(good, "tip_mm") <= _ACCURATE_MM,
         "9": bool(good) and refused <= _HALF and _under(mean(good, "curve_mean_mm"), radius_mm),

@@ -11,14 +11,19 @@ import numpy as np
 from tubesight.apps.compare.comparison import Comparison
 from tubesight.apps.compare.measure import mean
 from tubesight.apps.reproduce import drawing
+from tubesight.core import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawing
 
 _DPI = 130
-# Markers by turns, so that methods of like colours differ.
-_MARKERS = "os^Dv<>pP*Xh"
+# Okabe and Ito (2008) without yellow, which is hard to see on white. Both go by turns; their numbers have no common
+# divisor.
+_MARKERS = "os^Dv<>pP*X"
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+# Points: half a mark, and the extent of text of 8 points.
+_MARK_PT, _LETTER_PT, _LINE_PT = 5.0, 4.6, 9.0
 
 
 def drawings(made: Comparison) -> dict[str, bytes]:
@@ -37,12 +42,8 @@ def _png(figure: Drawing) -> bytes:
 
 
 def _looks(names: Sequence[str]) -> Mapping[str, tuple[str, str]]:
-    """Colour and marker of each method; ours stands out."""
-    shades = drawing.shades(max(len(names), 2))
-    looks = {name: (shades[k], _MARKERS[k % len(_MARKERS)]) for k, name in enumerate(names)}
-    if "silhouette" in looks:
-        looks["silhouette"] = (drawing.COLOURS["reference"], "o")
-    return looks
+    """Colour and marker of each method: no two have both alike."""
+    return {name: (_COLOURS[k % len(_COLOURS)], _MARKERS[k % len(_MARKERS)]) for k, name in enumerate(names)}
 
 
 def _error_time(made: Comparison) -> Drawing | None:
@@ -56,27 +57,40 @@ def _error_time(made: Comparison) -> Drawing | None:
         colour, marker = looks[name]
         panel.plot(ms, off, marker, color=colour, markersize=8)
     _log_axes(panel, "time for a pair of pictures [ms]", "mean distance to the true centreline [mm]")
-    _label(panel, places)
     panel.axvline(1e3 / 30, color=drawing.COLOURS["paper"], linestyle="--", linewidth=1)
     panel.axhline(1.0, color=drawing.COLOURS["paper"], linestyle="--", linewidth=1)
     panel.margins(0.12)
+    _label(figure, panel, places)
     return figure
 
 
-def _label(panel: Axes, places: Mapping[str, tuple[float, float]]) -> None:
-    """Write the names beside the marks, above or below in turn where they stand close."""
-    order = sorted(places, key=lambda n: places[n][0])
-    for k, name in enumerate(order):
-        above = k % 2 == 0
-        panel.annotate(
-            name,
-            places[name],
-            xytext=(0, 8 if above else -8),
-            textcoords="offset points",
-            ha="center",
-            va="bottom" if above else "top",
-            fontsize=8,
-        )
+def _label(figure: Drawing, panel: Axes, places: Mapping[str, tuple[float, float]]) -> None:
+    """Write each name beside its mark, where it covers neither a mark nor another name."""
+    figure.canvas.draw()
+    per_point = figure.dpi / 72
+    marks = {name: panel.transData.transform(place) / per_point for name, place in places.items()}
+    # Boxes (left, bottom, right, top) in points, of the marks and of the names written so far.
+    taken = [np.array([*(mark - _MARK_PT), *(mark + _MARK_PT)]) for mark in marks.values()]
+    for name, mark in marks.items():
+        half = np.array([_LETTER_PT * len(name), _LINE_PT]) / 2
+        spots = [
+            np.array([side * (half[0] + _MARK_PT), rise])
+            if side
+            else np.array([0.0, np.sign(rise) * (half[1] + _MARK_PT) + rise])
+            for rise in (0.0, 6.0, -6.0, 14.0, -14.0, 24.0, -24.0)
+            for side in (1, -1, 0)
+            if side or rise
+        ]
+        boxes = [np.array([*(mark + spot - half), *(mark + spot + half)]) for spot in spots]
+        free = [k for k, box in enumerate(boxes) if not any(_overlap(box, other) for other in taken)]
+        best = free[0] if free else 0
+        taken.append(boxes[best])
+        x, y = spots[best].tolist()
+        panel.annotate(name, places[name], (x, y), textcoords="offset points", ha="center", va="center", fontsize=8)
+
+
+def _overlap(one: Array, other: Array) -> bool:
+    return bool((one[:2] < other[2:]).all() and (other[:2] < one[2:]).all())
 
 
 def _resolution(made: Comparison) -> Drawing:
@@ -100,7 +114,13 @@ def _resolution(made: Comparison) -> Drawing:
 
 
 def _log_axes(panel: Axes, x: str, y: str) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     panel.set_xscale("log")
     panel.set_yscale("log")
     panel.set_xlabel(x)
     panel.set_ylabel(y)
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())

@@ -15,7 +15,6 @@ from tubesight.apps.compare.comparison import Comparison
 from tubesight.apps.compare.criteria import CRITERIA, stated
 from tubesight.apps.compare.measure import largest, mean
 from tubesight.core import Image
-from tubesight.methods import METHODS
 
 _PICTURE_PX, _QUALITY = 1400, 82
 _MARKS = {True: "yes", False: "no", None: "open"}
@@ -127,7 +126,7 @@ def _table(made: Comparison) -> str:
         numbers = "".join(f"<td>{cell}</td>" for cell in cells)
         failed = f"{sum(not row.ok for row in own)} of {len(own)}"
         rows.append(
-            f"<tr><td>{escape(name)}</td><td class='text'>{escape(', '.join(METHODS[name].given) or 'nothing')}</td>"
+            f"<tr><td>{escape(name)}</td><td class='text'>{escape(', '.join(made.given[name]) or 'nothing')}</td>"
             f"{numbers}<td>{_number(mean(own, 'ms'), 1)}</td><td>{failed}</td></tr>"
         )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
