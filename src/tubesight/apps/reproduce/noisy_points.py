@@ -174,8 +174,9 @@ def _rows(
     off = rays[:, 1:-1, None, :2] - nodes[:, None]
     nearest = (off * off).sum(-1).argmin(-1)
     s = length[:, None] * _FIT_NODES[nearest]
-    at = _seen(rig, name, bend, s)
-    way = _seen(rig, name, bend, s + 1.0) - at
+    at, way = _with_way(rig, name, bend, s)
+    s = s + ((rays[:, 1:-1, :2] - at) * way).sum(-1) / (way * way).sum(-1)
+    at, way = _with_way(rig, name, bend, s)
     normal = np.stack([way[..., 1], -way[..., 0]], -1) / np.linalg.norm(way, axis=-1, keepdims=True)
     scale = float(np.linalg.norm(rig.camera_from_base[name].translation_mm))
     by_bend = _by_bend(rig, name, bend, s)
@@ -200,6 +201,11 @@ def _seen(rig: Rig, name: str, bend: Array, s_mm: Array) -> Array:
     """Images (B, n, 2) of arcs on the ideal image plane."""
     local = rig.camera_from_base[name].apply(_arc(bend, s_mm))
     return np.asarray(local[..., :2] / local[..., 2:])
+
+
+def _with_way(rig: Rig, name: str, bend: Array, s_mm: Array) -> tuple[Array, Array]:
+    """Images (B, n, 2) of arcs and their derivatives by arc length."""
+    return _seen(rig, name, bend, s_mm), _seen(rig, name, bend, s_mm + 0.5) - _seen(rig, name, bend, s_mm - 0.5)
 
 
 def _by_bend(rig: Rig, name: str, bend: Array, s_mm: Array) -> Array:

@@ -36,6 +36,8 @@ _PAPER_MAX = (1.6865, 1.7402, 1.5871, 2.6280, 3.6486, 2.4224)
 # to point, at least the tube's half width.
 _COUNTS = (8, 12, 18, 27, 50, 100, 200)
 _MAIN = 100
+# Trials of each tube and noise with that number of points (the paper's), and with others.
+_TRIALS, _QUICK_TRIALS = (1000, 250), (100, 40)
 # Of a point on a normal distribution, E |x| / sd.
 _MEAN_OF_SD = float(np.sqrt(2 / np.pi))
 _READINGS: Mapping[bool, str] = MappingProxyType({True: "exact_ends", False: "noisy_ends"})
@@ -151,7 +153,7 @@ def shifted(task: Shifted) -> list[Row]:
 
 def run(context: Context) -> StudyResult:
     """Do the trials of both readings for several numbers of points."""
-    trials, few = (100, 40) if context.quick else (1000, 250)
+    trials, few = _QUICK_TRIALS if context.quick else _TRIALS
     tasks = [
         Trials(b, n, known, trials if n == _MAIN else few, context.seed_of(b, n, known))
         for n in _COUNTS
