@@ -117,7 +117,7 @@ def _cluster(address: str) -> Iterator[Pool]:
             # A task whose worker dies is done by another one: Dask sees to that.
             futures = client.map(function, tasks, pure=False)
             index_of = {future.key: index for index, future in enumerate(futures)}
-            for future, result in distributed.as_completed(futures, with_results=True):
+            for future, result in distributed.as_completed(futures, loop=client.loop, with_results=True):
                 yield index_of[future.key], result
 
         yield pool
