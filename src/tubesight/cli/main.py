@@ -21,6 +21,7 @@ from tubesight.cli import (
     import_,
     init,
     methods,
+    plan,
     register,
     reproduce,
     rig_export,
@@ -69,6 +70,7 @@ app.command("check")(check.command)
 app.command("run", cls=BaseCommand)(run.command)
 app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
+app.command("plan")(plan.command)
 app.command("simulate")(simulate.command)
 app.command("bench")(bench.command)
 app.command("reproduce")(reproduce.command)

@@ -20,6 +20,9 @@ STUDIES: Mapping[str, str] = MappingProxyType(
         "experiment2": "eight tubes turned once round (figures 8 to 11)",
         "sensitivity": "what each thing that can be wrong costs",
         "timing": "what a pair of pictures costs (section 4)",
+        "table1": "noise of millimetres on the centreline points (table 1)",
+        "viewing_angle": "the angle between the cameras and the direction of the tube",
+        "uncertainty": "errors of the fit against what the edges allow and what it states",
     }
 )
 
