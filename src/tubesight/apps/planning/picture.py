@@ -20,7 +20,7 @@ _DRAWN_BENDINGS, _DRAWN_ORIENTATIONS = 3, 12
 # Arrows of the lines of sight end at this share of the way to the workspace.
 _SIGHT = 0.45
 # Distance of a camera's name from it, in points of the page.
-_BEHIND_PT = 20.0
+_NAME_PT = 12.0
 
 
 def draw_plan(plan: Plan) -> bytes:
@@ -60,11 +60,11 @@ def _draw_rig(axes: Any, plan: Plan, shown: tuple[int, int], title: str) -> None
             "", sight[pick], centre[pick], arrowprops={"arrowstyle": "->", "color": "#0072B2", "linewidth": 1.2}
         )
         axes.plot(*centre[pick], marker="s", color="#0072B2", markersize=7, zorder=3)
-        # The name stands behind the camera, clear of its arrow.
-        away = (centre - target)[pick]
-        behind = _BEHIND_PT * away / np.linalg.norm(away) * [1, -1 if shown[1] == 2 else 1]
+        # The name stands clear of the arrow, above the camera or below it.
+        upwards = (target - centre)[shown[1]] * (-1 if shown[1] == 2 else 1) > 0
+        offset = (0.0, -_NAME_PT if upwards else _NAME_PT)
         axes.annotate(
-            name, centre[pick], textcoords="offset points", xytext=behind, fontsize=8, ha="center", va="center"
+            name, centre[pick], textcoords="offset points", xytext=offset, fontsize=8, ha="center", va="center"
         )
     axes.plot(0, 0, marker="o", color="#D55E00", markersize=5, zorder=4)
     axes.annotate("clamp", (0, 0), textcoords="offset points", xytext=(5, 5), fontsize=8, color="#D55E00")
