@@ -26,17 +26,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
 # Section 3.2 of the paper.
-_BENDING_DEG = (10, 30, 50, 70)
-_ORIENTATIONS_DEG = (30, 60, 120, 150, 210, 240, 300, 330)
+BENDING_DEG = (10, 30, 50, 70)
+ORIENTATIONS_DEG = (30, 60, 120, 150, 210, 240, 300, 330)
 # Errors are drawn on a logarithmic axis; smaller ones lie on its lower end.
 _AXIS_FROM = 1e-3
 
 
 def run(context: Context) -> StudyResult:
     """Measure the tubes and draw figures 5, 6 and 7."""
-    tubes = [*circular(_BENDING_DEG), ELLIPTIC]
-    rows, configuration = photograph_and_measure(context, tubes, _ORIENTATIONS_DEG)
-    configuration = {**configuration, "bending_deg": _BENDING_DEG, "orientations_deg": _ORIENTATIONS_DEG}
+    tubes = [*circular(BENDING_DEG), ELLIPTIC]
+    rows, configuration = photograph_and_measure(context, tubes, ORIENTATIONS_DEG)
+    configuration = {**configuration, "bending_deg": BENDING_DEG, "orientations_deg": ORIENTATIONS_DEG}
     data = context.write_data("experiment1", rows, configuration)
     summary = summary_of(rows)
     names = [tube.name for tube in tubes]
