@@ -77,6 +77,7 @@ PICTURES: dict[str, Picture] = {
     "equally bright": drawn_tube(tube=(0.3, 0.3, 0.3), cloth=(0.05, 0.45, 0.1), noise=0.02),
     "saturated": drawn_tube(tube=(3.0, 3.0, 3.0), cloth=(0.1, 0.1, 0.1)),
     "thin": drawn_tube(width=6.0),
+    "hair": drawn_tube(width=2.6),
     "at the border": drawn_tube(size=(90, 210)),
     "beside the border": drawn_tube(size=(150, 116)),
     "noise": np.random.default_rng(1).integers(0, 256, (150, 210, 3)).astype(np.uint8),
@@ -102,7 +103,7 @@ def test_every_stage_gives_the_numbers_of_its_twin(name: str, with_scene: bool) 
     if with_scene and name not in SCENES:
         pytest.skip("no picture of the empty scene")
     picture, scene = PICTURES[name], SCENES[name] if with_scene else None
-    width = 6.0 if name == "thin" else WIDTH
+    width = {"thin": 6.0, "hair": 2.6}.get(name, WIDTH)
     assert_twins("learn", picture, scene, START, WAY, width)
     signal = signal_for(picture, scene)
     assert_twins("find_pair", signal, START + 20 * WAY, WAY, width, True)

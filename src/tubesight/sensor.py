@@ -16,6 +16,7 @@ from tubesight.geometry.rig import Rig
 from tubesight.geometry.shape import Shape, shape_of
 from tubesight.methods import METHODS
 from tubesight.methods.agreement import reprojection_rms_px
+from tubesight.methods.common_end import to_common_end
 from tubesight.methods.mark import from_mark, marked_width_px
 from tubesight.vision.mark import starts_at
 from tubesight.vision.see import Start, clamp_start
@@ -111,6 +112,8 @@ class ShapeSensor:
                     views[name] = self._see(name, image)
             with _stage(ms, "solve"):
                 views = from_mark(views, self.rig, self.base_px)
+                if self.tube.tip.shape == "open":
+                    views = to_common_end(views, self.rig)
                 curve = METHODS[self.method].solve(views, self.rig, self.tube)
                 rms = reprojection_rms_px(curve, views, self.rig)
                 shape = shape_of(curve, 3 * self._tip_sd_mm(curve))
@@ -136,8 +139,11 @@ class ShapeSensor:
             for marked in starts_at(image, base_px, width_px):
                 with suppress(Unmeasurable):
                     seen.append(see(marked, base_px))
+        if not seen or self.tube.tip.shape == "open":
+            # Where no tip has to be found, a walk that is soon lost passes for one: that from the middle counts too.
+            seen.append(see(start, base_px))
         # Of the two ways from a mark in the middle the longer one leads to the tip.
-        return max(seen, key=lambda view: len(view.edges_px), default=None) or see(start, base_px)
+        return max(seen, key=lambda view: len(view.edges_px))
 
     def start_of(self, name: str) -> tuple[Start | None, Array | None]:
         """Where the tube starts in a camera's pictures: the projected clamp, or a pixel of the base, or neither.

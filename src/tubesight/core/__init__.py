@@ -5,7 +5,7 @@ from tubesight.core.board import Board
 from tubesight.core.errors import InputError
 from tubesight.core.frames import FramePair
 from tubesight.core.status import Status, Unmeasurable
-from tubesight.core.tube import Tip, Tube
+from tubesight.core.tube import Tip, TipShape, Tube
 
 __all__ = [
     "Array",
@@ -16,6 +16,7 @@ __all__ = [
     "Mask",
     "Status",
     "Tip",
+    "TipShape",
     "Tube",
     "Unmeasurable",
     "readonly",

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
 
 from pydantic import PositiveFloat
 
-from tubesight.core import InputError, Tip, Tube
+from tubesight.core import InputError, Tip, TipShape, Tube
 from tubesight.files.safe import Strict, load_yaml, refuse
 
 
 class _TipFile(Strict):
-    shape: Literal["ball", "round", "flat"]
+    shape: TipShape
     diameter_mm: PositiveFloat | None = None
 
 
@@ -21,15 +20,19 @@ class _TubeFile(Strict):
     diameter_mm: PositiveFloat | None = None
     tip: _TipFile = _TipFile(shape="round")
     clamped: bool = False
+    tapered: bool = False
 
 
 def load_tube(path: Path) -> Tube:
     """Read ``tube.yaml``; raise `InputError` where it does not describe a tube.
 
-    A round or flat end has the tube's own diameter: it may be repeated in the file, but not differ.
+    A round or flat end has the tube's own diameter: it may be repeated in the file, but not differ. An open end has
+    none.
     """
     file = load_yaml(path, _TubeFile)
     tip_mm = file.tip.diameter_mm
+    if file.tip.shape == "open" and tip_mm is not None:
+        raise InputError(f"{path}: tip.diameter_mm: an open end has no diameter; remove the key")
     if file.tip.shape != "ball" and tip_mm is not None:
         if file.diameter_mm is None or not math.isclose(tip_mm, file.diameter_mm, rel_tol=1e-3):
             raise InputError(
@@ -38,6 +41,6 @@ def load_tube(path: Path) -> Tube:
             )
         tip_mm = None
     try:
-        return Tube(file.diameter_mm, Tip(file.tip.shape, tip_mm), file.clamped)
+        return Tube(file.diameter_mm, Tip(file.tip.shape, tip_mm), file.clamped, file.tapered)
     except ValueError as error:
         refuse(path, error)

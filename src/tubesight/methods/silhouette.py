@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 
-from tubesight.core import Array, Status, Tube, Unmeasurable
+from tubesight.core import Array, Status, Tip, Tube, Unmeasurable
 from tubesight.geometry.curve import Curve3D, NodeCurve
 from tubesight.geometry.deviations import Deviations
 from tubesight.geometry.families import BASE, FAMILIES, bends_of_pieces, ellipse_like
@@ -23,6 +23,7 @@ from tubesight.methods.agreement import base_of, flat_tip, triangulate_tip
 from tubesight.methods.fit import Fit, fit_family
 from tubesight.methods.ray_kernels import meeting_point
 from tubesight.methods.rays import ROWS, Problem, collect, optics, tip_axes
+from tubesight.methods.taper import evened
 from tubesight.methods.uncertainty import picture_covariance, rig_covariance
 from tubesight.vision.view import View
 
@@ -46,8 +47,11 @@ _TIP_OFF_PX = 2.0
 # The way of a tube at its base is told from this part of its centreline, where the planes of the views meet at 6
 # degrees or more (sqrt(2) times the sine of half of it).
 _FIRST_SHARE, _PLANES_APART = 6, 0.07
-# No family with a larger rms is an answer.
-_RMS_MAX_PX = 0.6
+# Scans that tell the radius at the base and at the tip.
+_FIRST, _LAST = slice(None, 5), slice(-5, None)
+# No family with a larger rms is an answer: pixels, or deviations of the rows where edges are rough (the right family
+# of a thin robot before patterned things: 4.5 of them).
+_RMS_MAX_PX, _RMS_MAX_SD = 0.6, 6.0
 
 # Frame in which a clamped tube starts.
 _CLAMP = Pose.identity()
@@ -77,13 +81,17 @@ class Silhouette:
         """
         tip = _tip(views, rig)
         start = _CLAMP if tube.clamped else self._start(views, rig, tube)
+        end_radius = _radius_guess(views, rig, tip, _LAST) if tube.tapered else None
+        if tube.tapered:
+            views, tube = _made_even(views, rig, tube, start, tip)
         problem = _problem(views, rig, tube, start, tip)
         chosen = choose_family(problem, tip)
         if tube.tip.shape == "flat":
-            tip = flat_tip(views, rig, chosen.nodes.points[-1], chosen.nodes.tangents[-1], problem.radius_mm)
+            end = chosen.nodes.points[-1], chosen.nodes.tangents[-1]
+            tip = flat_tip(views, rig, *end, end_radius or problem.radius_mm)
             problem = problem._replace(end_mm=tip)
             chosen = fit_family(problem, chosen.family, chosen.parameters)
-        if not chosen.rms_px <= _RMS_MAX_PX:
+        if not chosen.rms_px <= max(_RMS_MAX_PX, _RMS_MAX_SD * _roughness_px(problem)):
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")
         if not _reaches_tip(chosen, problem):
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="no curve along the edges ends in the tip")
@@ -115,9 +123,9 @@ def _tip(views: Mapping[str, View], rig: Rig) -> Array:
 
 def _problem(views: Mapping[str, View], rig: Rig, tube: Tube, start: Pose, tip: Array) -> Problem:
     ball = tube.tip.diameter_mm if tube.tip.shape == "ball" else None
-    if tube.diameter_mm is None and ball is None and tube.tip.shape != "flat":
+    if tube.diameter_mm is None and tube.tip.rounded and ball is None:
         ball = 2 * _tip_radius(views, rig, tip)
-    radius = tube.diameter_mm / 2 if tube.diameter_mm is not None else _radius_guess(views, rig, tip)
+    radius = tube.diameter_mm / 2 if tube.diameter_mm is not None else _radius_guess(views, rig, tip, _LAST)
     return collect(
         views,
         rig,
@@ -125,16 +133,29 @@ def _problem(views: Mapping[str, View], rig: Rig, tube: Tube, start: Pose, tip: 
         start,
         radius,
         None if ball is None else ball / 2,
-        tip if tube.tip.shape == "flat" else None,
+        None if tube.tip.rounded else tip,
     )
 
 
-def _radius_guess(views: Mapping[str, View], rig: Rig, tip: Array) -> float:
-    """Radius from the angle between the last edges and the range of the tip."""
+def _made_even(
+    views: Mapping[str, View], rig: Rig, tube: Tube, start: Pose, tip: Array
+) -> tuple[dict[str, View], Tube]:
+    """Show a tapered tube as if it had the diameter of its base all along: views, and that tube."""
+    radius = tube.diameter_mm / 2 if tube.diameter_mm else _radius_guess(views, rig, start.translation_mm, _FIRST)
+    end = Tip("ball", 2 * _tip_radius(views, rig, tip)) if tube.tip.rounded else tube.tip
+    even = replace(tube, diameter_mm=2 * radius, tip=end)
+    # The ranges along the chord are a few percent off; those along the curve that they lead to are right.
+    rough = evened(views, rig, np.stack([start.translation_mm, tip]), radius)
+    curve = choose_family(_problem(rough, rig, even, start, tip), tip)
+    return evened(views, rig, curve.nodes.points, radius), even
+
+
+def _radius_guess(views: Mapping[str, View], rig: Rig, place: Array, scans: slice) -> float:
+    """Radius from the angle between the edges of some scans and the range of a place (3,) near them."""
     guesses = []
     for name, view in views.items():
-        cosine = np.clip((view.edge_rays[-5:, 0] * view.edge_rays[-5:, 1]).sum(1), -1, 1)
-        guesses.append(np.linalg.norm(tip - rig.centre_mm(name)) * np.sin(np.median(np.arccos(cosine)) / 2))
+        cosine = np.clip((view.edge_rays[scans, 0] * view.edge_rays[scans, 1]).sum(1), -1, 1)
+        guesses.append(np.linalg.norm(place - rig.centre_mm(name)) * np.sin(np.median(np.arccos(cosine)) / 2))
     return float(np.median(guesses))
 
 
@@ -213,6 +234,12 @@ def _is_tube(fit: Fit, radius_mm: float) -> bool:
     """Whether a tube of this radius can be bent like that without running into itself."""
     sharpest = float(np.sqrt((fit.nodes.curvature**2).sum(1).max()))
     return sharpest * radius_mm < _SHARPEST
+
+
+def _roughness_px(problem: Problem) -> float:
+    """Median deviation of the rows of the tube's edges, pixels."""
+    sides = problem.row_sd_px.reshape(-1, ROWS)[:, : ROWS - 1]
+    return float(np.median(sides))
 
 
 def _reaches_tip(fit: Fit, problem: Problem) -> bool:

@@ -99,8 +99,14 @@ def spacing(width_px: float) -> float:
     return min(max(width_px / falls.SAMPLES_PER_WIDTH, falls.SPACING_MIN_PX), falls.SPACING_MAX_PX)
 
 
+@short_part
+def reach_of(width_px: float) -> float:
+    """Twin of `falls.reach_of`."""
+    return min(falls.REACH_PX, falls.REACH_WIDTHS * width_px)
+
+
 @part
-def find_falls(share: Array, low: float, step: float, falls_at: Array, side: Count) -> Count:
+def find_falls(share: Array, low: float, step: float, reach_px: float, falls_at: Array, side: Count) -> Count:
     """Twin of `falls.falls` for one profile (L,): the number of peaks, and of each its place, drop and slope.
 
     They are written to `falls_at` (sides, L, 3).
@@ -113,7 +119,7 @@ def find_falls(share: Array, low: float, step: float, falls_at: Array, side: Cou
     for k in range(last + 1):
         outer = share[max(k - 2, 0)] + share[min(k + 2, last)]
         smooth[k] = (outer + 4 * (share[max(k - 1, 0)] + share[min(k + 1, last)]) + 6 * share[k]) / 16
-    reach = int(falls.REACH_PX / step)
+    reach = int(reach_px / step)
     found = 0
     before, here = 0.0, (smooth[0] - smooth[2]) / (2 * step)
     for k in range(1, last):
@@ -131,7 +137,7 @@ def find_falls(share: Array, low: float, step: float, falls_at: Array, side: Cou
 @part
 def nearest_fall(share: Array, low: float, step: float, drop_min: float, scratch: Array) -> float:
     """Twin of `falls.nearest_fall` for one profile (L,); scratch (1, L, 3)."""
-    found = find_falls(share, low, step, scratch, np.int64(0))
+    found = find_falls(share, low, step, falls.REACH_PX, scratch, np.int64(0))
     steepest, best, nearest = 0.0, np.nan, np.inf
     for k in range(found):
         steepest = max(steepest, scratch[0, k, 2])
@@ -154,7 +160,7 @@ def best_pair(
     for side in range(2):
         sign = 1.0 - 2 * side
         most = max(most, profile(picture, middle, (sign * way[1], -sign * way[0]), 0.0, low, step, (1.0, 0.0), share))
-        peaks[side] = find_falls(share, low, step, found, side)
+        peaks[side] = find_falls(share, low, step, reach_of(width), found, side)
     best, left, right = -np.inf, 0.0, 0.0
     for i in range(peaks[0]):
         for j in range(peaks[1]):
@@ -270,7 +276,7 @@ def walk(
                 alone = False
             stride = step
             waiting = place - (scans[count - 1, 3] if count > 0 else 0.0)
-            if waiting > walker.GAP_WIDTHS * width:
+            if waiting > max(walker.GAP_WIDTHS * width, walker.GAP_MIN_PX):
                 break
         place += stride
     middles, widths = np.empty((count, 2)), np.empty(count)

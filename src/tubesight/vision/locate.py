@@ -63,6 +63,11 @@ def find_tip(
     return min(found, key=lambda each: each[0].rms_px)
 
 
+def open_tip(ray: Array, px: Array) -> TipView:
+    """Let a place of the centreline, ray (3,) and pixel (2,), stand for a tip that is not looked for."""
+    return TipView(ray / np.linalg.norm(ray), px, float("nan"), np.empty((0, 2)), 0.0, 0.0)
+
+
 def _ball_ratios(tube: Tube) -> tuple[float, ...]:
     """Diameter of ball over tube: known, or to be tried; the round end of an unknown tube may be a ball."""
     if tube.diameter_mm is None and tube.tip.shape != "flat":
