@@ -12,8 +12,9 @@ from fit_scenes import curve, views_of
 from test_silhouette_fit import BALL, FREE, RIG, SHAPES
 from tubesight.apps.evaluate import distance_to_polyline
 from tubesight.core import FramePair, Status, Unmeasurable
+from tubesight.geometry import matching_kernels
 from tubesight.geometry.curve import Curve3D
-from tubesight.geometry.matching import monotone_way
+from tubesight.geometry.matching import cheapest_way, monotone_way
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import interpolating, smoothing
 from tubesight.methods import METHODS
@@ -125,9 +126,10 @@ def test_the_way_is_the_cheapest_of_all(n: int, m: int, seed: int) -> None:
             total += 2 * cost[here] if here[0] > i and here[1] > j else cost[here] + skip
         return total
 
-    way = [(int(i), int(j)) for i, j in monotone_way(cost, skip)]
-    assert way[0] == (0, 0) and way[-1] == (n - 1, m - 1)
-    assert price(way) == pytest.approx(min(price(w) for w in _all_ways(n - 1, m - 1)))
+    for found in (cheapest_way, matching_kernels.cheapest_way, monotone_way):
+        way = [(int(i), int(j)) for i, j in found(cost, skip)]
+        assert way[0] == (0, 0) and way[-1] == (n - 1, m - 1)
+        assert price(way) == pytest.approx(min(price(w) for w in _all_ways(n - 1, m - 1)))
 
 
 def test_splines_through_points_of_a_helix() -> None:

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from tubesight.core import Array, FramePair, Image, Status, Tube, Unmeasurable
-from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.curve import Curve3D, NodeCurve
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.shape import Shape, shape_of
 from tubesight.methods import METHODS
@@ -120,6 +120,8 @@ class ShapeSensor:
         except Unmeasurable as failure:
             return Reconstruction(pair.name, failure.status, (str(failure),), None, None, views, self.method, ms=ms)
         notes = [f"{v.camera}: {note}" for v in views.values() for note in v.notes]
+        if isinstance(curve, NodeCurve) and curve.note:
+            notes.append(curve.note)
         if np.isnan(shape.orientation_rad):
             notes.append("orientation undefined: the tip lies on the base axis")
         return Reconstruction(pair.name, Status.OK, tuple(notes), shape, curve, views, self.method, rms, ms)

@@ -127,7 +127,7 @@ def run_benchmark(pairs: int, names: Sequence[str] = (), progress: Progress | No
     times: dict[str, list[float]] = {name: [] for name in names}
     stages: dict[str, list[Mapping[str, float]]] = {name: [] for name in names}
     failures = dict.fromkeys(names, 0)
-    with _one_thread():
+    with one_thread():
         for sensor in sensors.values():
             sensor(ring[0])
         for k in range(pairs):
@@ -167,7 +167,7 @@ def _ring(rig: Rig) -> list[FramePair]:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """One thread of OpenCV, and no garbage collection in between."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)

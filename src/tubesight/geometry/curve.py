@@ -49,6 +49,8 @@ class NodeCurve:
     from_picture, from_rig
         The curve displaced by one standard deviation along each independent direction of its covariance: what comes
         from the pictures, and what comes from the calibration. Empty where not known.
+    note
+        Why it is of this family, in words, where that is worth telling.
     """
 
     model: str
@@ -57,6 +59,7 @@ class NodeCurve:
     tangents: Array
     from_picture: tuple[NodeCurve, ...] = ()
     from_rig: tuple[NodeCurve, ...] = ()
+    note: str = ""
 
     def __post_init__(self) -> None:
         m = len(self.s_mm)

@@ -7,6 +7,7 @@ from types import MappingProxyType
 
 from tubesight.methods import cone_ray, dalvand, epipolar_dp, silhouette, spline_fit, triangulate
 from tubesight.methods.method import Method
+from tubesight.methods.plugins import Registry
 from tubesight.methods.rivals import RIVALS
 from tubesight.vision.reference import Reference
 
@@ -39,7 +40,7 @@ _MATCHING_TRAITS: Mapping[str, str] = MappingProxyType(
     }
 )
 
-METHODS: Mapping[str, Method] = MappingProxyType(
+METHODS: Mapping[str, Method] = Registry(
     {
         "cone_ray": Method(
             name="cone_ray",
@@ -58,12 +59,12 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                     "markers": "none",
                     "physical grid": "none",
                     "initial guess": "none",
-                    "circular arcs": "not needed: arcs, ellipses, polynomials of curvature, several segments",
+                    "circular arcs": "not needed: arcs, ellipses, several segments, splines of curvature",
                     "tip": "yes",
                     "3-D": "yes",
                 }
             ),
-            solve=silhouette.Silhouette(starter=cone_ray.solve),
+            solve=silhouette.Silhouette(starter=cone_ray.solve, general=epipolar_dp.solve),
         ),
         "reference": Method(
             name="reference",
