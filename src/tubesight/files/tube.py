@@ -8,7 +8,8 @@ from pathlib import Path
 from pydantic import PositiveFloat
 
 from tubesight.core import InputError, Tip, TipShape, Tube
-from tubesight.files.safe import Strict, load_yaml, refuse
+from tubesight.files.nested import dump_yaml, parse_yaml
+from tubesight.files.safe import Strict, load_yaml, refuse, validate
 
 
 class _TipFile(Strict):
@@ -29,7 +30,22 @@ def load_tube(path: Path) -> Tube:
     A round or flat end has the tube's own diameter: it may be repeated in the file, but not differ. An open end has
     none.
     """
-    file = load_yaml(path, _TubeFile)
+    return _tube(load_yaml(path, _TubeFile), path)
+
+
+def tube_from_text(text: str, path: Path) -> Tube:
+    """Read the text of a ``tube.yaml`` that lies in another file."""
+    return _tube(validate(parse_yaml(text, path), _TubeFile, path), path)
+
+
+def tube_text(tube: Tube) -> str:
+    """Write a tube as ``tube.yaml`` has it."""
+    tip = {"shape": tube.tip.shape, **({"diameter_mm": tube.tip.diameter_mm} if tube.tip.diameter_mm else {})}
+    known = {"diameter_mm": tube.diameter_mm} if tube.diameter_mm is not None else {}
+    return dump_yaml({**known, "tip": tip, "clamped": tube.clamped})
+
+
+def _tube(file: _TubeFile, path: Path) -> Tube:
     tip_mm = file.tip.diameter_mm
     if file.tip.shape == "open" and tip_mm is not None:
         raise InputError(f"{path}: tip.diameter_mm: an open end has no diameter; remove the key")

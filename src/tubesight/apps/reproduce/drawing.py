@@ -87,3 +87,13 @@ def orientation_axis(axes: Axes, step_deg: int = 90) -> None:
     """Ticks of an axis of orientations."""
     axes.set_xlim(0, 360)
     axes.set_xticks(range(0, 361, step_deg))
+
+
+def decimal_log(axes: Axes) -> None:
+    """Make the y axis logarithmic with ticks at 1, 2 and 5 of each decade, written as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_locator(NullLocator())

@@ -22,7 +22,7 @@ p, li, figcaption, caption {{ max-width: 80ch }}
 .scroll {{ overflow-x: auto; margin: 1.2rem 0 }}
 table {{ border-collapse: collapse; background: #fff; font-variant-numeric: tabular-nums }}
 th, td {{ padding: .3rem .7rem; border-bottom: 1px solid #dde2e8; text-align: right; white-space: nowrap }}
-th:first-child, td:first-child {{ text-align: left }}
+th.words, td.words {{ text-align: left }}
 caption {{ text-align: left; padding: .2rem 0; color: #414d59 }}
 figure {{ margin: 1.2rem 0 }}
 img {{ max-width: 100%; height: auto; border-radius: 4px; background: #fff; display: block }}
@@ -63,10 +63,16 @@ def _section(name: str, result: StudyResult) -> str:
 
 
 def _table(table: Table) -> str:
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in table.heading)
-    rows = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in table.rows)
-    caption = f"<caption>{escape(table.caption)}</caption>"
-    return f'<div class="scroll"><table>{caption}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+    """Columns with words are aligned left, numbers right."""
+    words = [any(any(map(str.isalpha, cell)) for cell in column) for column in zip(*table.rows, strict=True)]
+
+    def line(tag: str, cells: tuple[str, ...]) -> str:
+        kinds = (' class="words"' if is_words else "" for is_words in words)
+        return "".join(f"<{tag}{kind}>{escape(cell)}</{tag}>" for kind, cell in zip(kinds, cells, strict=True))
+
+    rows = "".join(f"<tr>{line('td', row)}</tr>" for row in table.rows)
+    head = f"<caption>{escape(table.caption)}</caption><thead><tr>{line('th', table.heading)}</tr></thead>"
+    return f'<div class="scroll"><table>{head}<tbody>{rows}</tbody></table></div>'
 
 
 def _figure(figure: Figure) -> str:

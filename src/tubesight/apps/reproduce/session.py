@@ -13,12 +13,16 @@ from tubesight.apps.reproduce.mockup import through_jpeg
 from tubesight.calibration.calibrate import calibrate
 from tubesight.calibration.errors import CalibrationError
 from tubesight.calibration.record import Past
-from tubesight.calibration.registration import register_views
-from tubesight.core import Board, FramePair, Image
+from tubesight.calibration.registration import register_points, register_views
+from tubesight.core import Array, Board, FramePair, Image
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.simulate import Scene, board_views, render_board_pair, rig_around
+
+# A fixture that fills the tube's room, and how well a person clicks on its marks in an enlarged picture.
+_FIXTURE_MM = ((-60.0, -60.0, 0.0), (60.0, 60.0, 160.0))
+_CLICK_PX = 0.5
 
 Rows = tuple[tuple[float, ...], ...]
 
@@ -95,6 +99,8 @@ class Session:
         Pairs of pictures of the board anywhere, and at poses known in the base frame.
     squares, square_mm
         Of the chessboard.
+    points
+        Where not zero, the base frame comes from so many clicked points instead of views of the board.
     spread_mm
         How far the board's middle goes from the middle of the working volume.
     blur_px, noise_levels
@@ -110,6 +116,7 @@ class Session:
     registration_views: int = 2
     squares: tuple[int, int] = (10, 7)
     square_mm: float = 13.0
+    points: int = 0
     spread_mm: float = 55.0
     blur_px: float = 0.6
     noise_levels: float = 1.5
@@ -125,20 +132,41 @@ def calibrated(session: Session) -> dict[str, Any]:
         ``cameras`` of a `PlainRig`, ``rms_px`` of the adjustment; with a calibration that is refused ``cameras`` is
         empty and ``refused`` says why.
     """
-    rig = rig_around(size_px=session.size_px)
-    board = Board("chessboard", session.squares, session.square_mm)
+    rig, board = rig_around(size_px=session.size_px), board_of(session)
     scene = Scene(blur_px=session.blur_px, noise_levels=session.noise_levels, seed=session.seed)
-    count = session.views + session.registration_views
-    poses = board_views(rig, board, count, np.random.default_rng(session.seed), session.spread_mm)
+    poses = poses_of(session, rig)
     pairs = [through_jpeg(render_board_pair(rig, board, pose, scene, f"{i:03d}")) for i, pose in enumerate(poses)]
-    known = {f"{i:03d}": pose for i, pose in enumerate(poses) if i >= session.views}
     try:
         made = calibrate(_pictures(pairs[: session.views]), board)
         past = Past(made.board, made.adjusted.observations, made.lens)
-        base = register_views(made.rig, past, _pictures(pairs[session.views :]), known, board)
+        if session.points:
+            names, xyz_mm, px = _clicked(session, rig)
+            base = register_points(made.rig, past, names, xyz_mm, px)
+        else:
+            known = {f"{i:03d}": pose for i, pose in enumerate(poses) if i >= session.views}
+            base = register_views(made.rig, past, _pictures(pairs[session.views :]), known, board)
     except CalibrationError as error:
         return {"cameras": [], "rms_px": float("nan"), "refused": str(error)}
     return {"cameras": asdict(PlainRig.of(base.rig))["cameras"], "rms_px": made.adjusted.rms_px, "refused": ""}
+
+
+def _clicked(session: Session, rig: Rig) -> tuple[list[str], Array, dict[str, Array]]:
+    """Names, places (N, 3) and pixels by camera of points clicked on a fixture around the tube."""
+    rng = np.random.default_rng(session.seed)
+    xyz_mm = rng.uniform(*_FIXTURE_MM, (session.points, 3))
+    px = {name: rig.project(name, xyz_mm) + rng.normal(0, _CLICK_PX, (session.points, 2)) for name in rig.names}
+    return [f"p{i}" for i in range(session.points)], xyz_mm, px
+
+
+def board_of(session: Session) -> Board:
+    """Chessboard of a session."""
+    return Board("chessboard", session.squares, session.square_mm)
+
+
+def poses_of(session: Session, rig: Rig) -> list[Pose]:
+    """Poses ``base_from_board`` of a session: those to calibrate with, then those to register with."""
+    rng = np.random.default_rng(session.seed)
+    return board_views(rig, board_of(session), session.views + session.registration_views, rng, session.spread_mm)
 
 
 def _pictures(pairs: Sequence[FramePair]) -> dict[str, dict[str, Callable[[], Image]]]:
