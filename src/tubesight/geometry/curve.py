@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline
 
 from tubesight.core import Array, readonly
+from tubesight.core.kernels import COMPILED
+from tubesight.geometry import hermite_kernels
 from tubesight.geometry.pose import Pose
 
 # Panels and nodes of the quadrature of an ellipse's arc length: 1e-13 relative for axis ratios up to 10.
@@ -55,8 +57,8 @@ class NodeCurve:
     s_mm: Array
     points_mm: Array
     tangents: Array
-    from_picture: tuple[NodeCurve, ...] = ()
-    from_rig: tuple[NodeCurve, ...] = ()
+    from_picture: Sequence[NodeCurve] = ()
+    from_rig: Sequence[NodeCurve] = ()
 
     def __post_init__(self) -> None:
         m = len(self.s_mm)
@@ -68,18 +70,32 @@ class NodeCurve:
         """Arc length from base to tip."""
         return float(self.s_mm[-1])
 
-    @cached_property
-    def _spline(self) -> CubicHermiteSpline:
-        return CubicHermiteSpline(self.s_mm, self.points_mm, self.tangents)
-
     def at(self, s_mm: ArrayLike) -> Array:
         """Return points (N, 3) at arc lengths (N,)."""
-        return np.asarray(self._spline(np.asarray(s_mm, float)), dtype=np.float64)
+        return self._hermite(s_mm)[0]
 
     def tangent(self, s_mm: ArrayLike) -> Array:
         """Return unit tangents (N, 3) at arc lengths (N,)."""
-        t = np.asarray(self._spline(np.asarray(s_mm, float), 1), dtype=np.float64)
-        return np.asarray(t / np.linalg.norm(t, axis=-1, keepdims=True))
+        t = self._hermite(s_mm)[1]
+        return np.asarray(t / np.sqrt((t * t).sum(-1, keepdims=True)))
+
+    def _hermite(self, s_mm: ArrayLike) -> tuple[Array, Array]:
+        s = np.asarray(s_mm, float)
+        places, slopes = (hermite_kernels.hermite if COMPILED else hermite)(
+            self.s_mm, self.points_mm, self.tangents, s.ravel()
+        )
+        return places.reshape(*s.shape, 3), slopes.reshape(*s.shape, 3)
+
+
+def hermite(s: Array, points: Array, tangents: Array, at: Array) -> tuple[Array, Array]:
+    """Points (N, 3) at arc lengths (N,) of the cubic spline through points with given derivatives, and its derivatives.
+
+    SciPy's spline, imported only here: that takes longer than a result.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+
+    spline = CubicHermiteSpline(s, points, tangents)
+    return np.asarray(spline(at)), np.asarray(spline(at, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
 from tubesight.core import Array, Status, Unmeasurable
+from tubesight.core.kernels import COMPILED
+from tubesight.geometry.camera import Camera
 from tubesight.geometry.cone import place_along
 from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
+from tubesight.methods import agreement_kernels
+from tubesight.methods.rays import lens
 from tubesight.vision.view import View
 
 # Largest distance of the tip rays from each other; a quarter of a tube's width more where the base is only an edge of
 # the picture of a holder.
 _TIP_GAP_MAX_PX = 4.0
 _BASE_GAP_WIDTHS = 0.5
+# Places of a curve that are reprojected: its image strays from their polyline by less than 0.01 px.
+_SHARES = np.linspace(0.0, 1.0, 100)
 
 
 def triangulate_tip(views: Mapping[str, View], rig: Rig) -> Array:
@@ -49,15 +57,31 @@ def base_of(views: Mapping[str, View], rig: Rig) -> Array | None:
 
 def reprojection_rms_px(curve: Curve3D, views: Mapping[str, View], rig: Rig) -> float:
     """Root mean square distance of the views' centrelines and tips from the reprojected curve, all views, pixels."""
-    points = curve.at(np.linspace(0.0, curve.length_mm, 100))
-    squares = []
+    points = curve.at(_SHARES * curve.length_mm)
+    squares, count = 0.0, 0
     for name, view in views.items():
-        px = rig.project(name, points)
-        if not np.isfinite(px).all():
-            return float("inf")
-        _, off = place_along(px, np.vstack([view.centreline_px, view.tip.px]))
-        squares.append(off**2)
-    return float(np.sqrt(np.mean(np.concatenate(squares))))
+        camera, pose = rig.cameras[name], rig.camera_from_base[name]
+        known = lens(camera) if COMPILED else None
+        if known is None:
+            squares += off_squares(points, pose, camera, view)
+        else:
+            squares += agreement_kernels.off_squares(
+                points, pose.rotation, pose.translation_mm, *known, view.centreline_px, view.tip.px
+            )
+        count += len(view.centreline_px) + 1
+    return math.sqrt(squares / count)
+
+
+def off_squares(points_mm: Array, camera_from_base: Pose, camera: Camera, view: View) -> float:
+    """Sum of squared distances of a view's centreline and tip from a reprojected polyline (N, 3), pixels.
+
+    Infinite where it is not all in front of the camera.
+    """
+    px = camera.project(camera_from_base.apply(points_mm))
+    if not np.isfinite(px).all():
+        return math.inf
+    _, off = place_along(px, np.vstack([view.centreline_px, view.tip.px]))
+    return float(off @ off)
 
 
 def flat_tip(views: Mapping[str, View], rig: Rig, tip_mm: Array, tangent: Array, radius_mm: float) -> Array:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tubesight.core import Array, Status, Tube, Unmeasurable
+from tubesight.core import Array, Status, Tube, Unmeasurable, sealed
 from tubesight.core.kernels import COMPILED
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.pose import Pose
@@ -117,10 +117,10 @@ def collect(
         contour = _used_contour(view, tube)
         rows.append(
             (ray_kernels.rows_of_view if COMPILED else rows_of_view)(
-                _plain(view.edge_rays),
-                _plain(view.centreline_px),
-                _plain(tip.px),
-                _plain(contour),
+                view.edge_rays,
+                view.centreline_px,
+                tip.px,
+                contour,
                 unprojected(rig.cameras[name], contour),
                 rotation,
                 _ROW_MAX,
@@ -193,19 +193,22 @@ def centre_of(camera_from_base: Pose) -> Array:
 
 def unprojected(camera: Camera, pixels: Array) -> Array:
     """Camera rays (N, 3) of pixels (N, 2): compiled for the usual lenses, `Camera.unproject` where that fails."""
-    if COMPILED and camera.lens in ("brown", "rational"):
-        rays = ray_kernels.undistorted(_plain(pixels), *_lens(camera))
+    known = lens(camera) if COMPILED else None
+    if known is not None:
+        rays = ray_kernels.undistorted(_plain(pixels), *known)
         if math.isfinite(rays.sum()):
             return rays
     return camera.unproject(pixels)
 
 
 @lru_cache(maxsize=64)
-def _lens(camera: Camera) -> tuple[Array, Array]:
-    """Matrix (3, 3) and coefficients (8,) of a camera with a brown or rational lens."""
+def lens(camera: Camera) -> tuple[Array, Array] | None:
+    """Matrix (3, 3) and coefficients (8,) of a camera as compiled code takes them; None of an equidistant lens."""
+    if camera.lens not in ("brown", "rational"):
+        return None
     k = np.zeros(8)
     k[: len(camera.distortion)] = camera.distortion
-    return _plain(camera.matrix), k
+    return camera.matrix, sealed(k)
 
 
 def _plain(values: Array) -> Array:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -251,5 +250,4 @@ def _with_deviations(problem: Problem, fit: Fit, views: Mapping[str, View], rig:
     if not picture.bounded():
         raise Unmeasurable(Status.NEAR_DEGENERATE, detail="the pictures leave the length of the curve open")
     calibration = Deviations(fit.family.name, fit.nodes, from_rig) if rig.covariance is not None else ()
-    displaced = cast(tuple[tuple[NodeCurve, ...], tuple[NodeCurve, ...]], (picture, calibration))
-    return NodeCurve(fit.family.name, fit.nodes.s_mm, fit.nodes.points, fit.nodes.tangents, *displaced)
+    return NodeCurve(fit.family.name, fit.nodes.s_mm, fit.nodes.points, fit.nodes.tangents, picture, calibration)
