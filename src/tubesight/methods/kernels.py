@@ -299,17 +299,16 @@ def try_step(
 
 
 @compiled
-def stepped(p: Array, hessian: Array, gradient: Array, damping: float, count: int) -> Array:
-    """Parameters (P,) after a Levenberg-Marquardt step, cut to `STEP_MAX`."""
+def stepped(p: Array, hessian: Array, gradient: Array, damping: float, count: int, trial: Array) -> None:
+    """Write the parameters (P,) after a Levenberg-Marquardt step, cut to `STEP_MAX`, into `trial`."""
     lower, step = hessian.copy(), np.empty((len(gradient), 1))
     for q in range(len(lower)):
         lower[q, q] *= 1 + damping
         step[q, 0] = gradient[q]
     factor(lower)
     substitute(lower, step)
-    longest, trial = 1e-9, np.empty(len(p))
+    longest = 1e-9
     for q in range(count - 1):
         longest = max(longest, abs(step[q, 0]))
     for q in range(len(p)):
         trial[q] = p[q] - step[q, 0] * min(1.0, STEP_MAX / longest)
-    return trial

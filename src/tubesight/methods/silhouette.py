@@ -21,7 +21,7 @@ from tubesight.geometry.rig import Rig
 from tubesight.methods.agreement import base_of, flat_tip, triangulate_tip
 from tubesight.methods.fit import Fit, fit_family
 from tubesight.methods.ray_kernels import meeting_point
-from tubesight.methods.rays import ROWS, Problem, collect, optics, tip_axes
+from tubesight.methods.rays import Problem, collect, optics, tip_axes
 from tubesight.methods.uncertainty import picture_covariance, rig_covariance
 from tubesight.vision.view import View
 
@@ -84,7 +84,7 @@ class Silhouette:
             chosen = fit_family(problem, chosen.family, chosen.parameters)
         if not chosen.rms_px <= _RMS_MAX_PX:
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")
-        if not _reaches_tip(chosen, problem):
+        if not chosen.tip_off_px < _TIP_OFF_PX:
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="no curve along the edges ends in the tip")
         return _with_deviations(problem, chosen, views, rig, tube)
 
@@ -191,7 +191,7 @@ def choose_family(problem: Problem, tip: Array) -> Fit:
         for name in names:
             fits[name] = fit_family(problem, FAMILIES[name], _guess(name, fits))
         plausible = [fit for fit in fits.values() if _is_tube(fit, problem.radius_mm)] or list(fits.values())
-        plausible = [fit for fit in plausible if _reaches_tip(fit, problem)] or plausible
+        plausible = [fit for fit in plausible if fit.tip_off_px < _TIP_OFF_PX] or plausible
         best = min(fit.rms_px for fit in plausible)
         if best <= _GOOD_PX:
             break
@@ -212,13 +212,6 @@ def _is_tube(fit: Fit, radius_mm: float) -> bool:
     """Whether a tube of this radius can be bent like that without running into itself."""
     sharpest = float(np.sqrt((fit.nodes.curvature**2).sum(1).max()))
     return sharpest * radius_mm < _SHARPEST
-
-
-def _reaches_tip(fit: Fit, problem: Problem) -> bool:
-    """Whether the curve ends where the contours of the tip want it, in every view."""
-    start = problem.row_start
-    rows = [np.abs(fit.residual_px[start[k] : start[k + 1]]) for k in range(ROWS - 1, len(start) - 1, ROWS)]
-    return all(len(row) == 0 or float(np.median(row)) < _TIP_OFF_PX for row in rows)
 
 
 def _guess(name: str, fits: dict[str, Fit]) -> Array:

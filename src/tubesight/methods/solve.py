@@ -25,6 +25,10 @@ RMS_CAP_PX = 3.0
 ITERATIONS = 30
 # Movement of the curve under which the fit has converged: a tenth of what the best pictures tell.
 CONVERGED_MM = 2e-3
+# Movement up to which misses are linear: it bends a tube's normal by a hundredth, so that they are off by 0.005 mm.
+LINEAR_MM = 0.5
+# How often weights follow before the curve is measured again: each time they change a third as much.
+REWEIGHTED = 2
 # A step that leaves more than this share of the cost shows how far a family can come.
 SLOW = 0.7
 # Scale of a row over which a fit is rough: outliers are not known yet, and it is the model that errs, by about a pixel
@@ -188,17 +192,27 @@ def rms(problem: Problem, residual: Array) -> float:
     return float(np.sqrt((inverse * np.minimum(np.abs(residual), RMS_CAP_PX) ** 2).sum() / inverse.sum()))
 
 
-def movement(nodes: Nodes, there: Nodes) -> float:
-    """Measure how far a curve has moved at most: across itself, or at its end in any way."""
-    off = there.points - nodes.points
+def tip_off(problem: Problem, residual: Array) -> float:
+    """Largest median distance of the edges of a tip from the model, of all views; 0 without such edges."""
+    start = problem.row_start
+    tips = [np.abs(residual[start[k] : start[k + 1]]) for k in range(ROWS - 1, len(start) - 1, ROWS)]
+    return max(float(np.median(row)) if len(row) else 0.0 for row in tips)
+
+
+def movement(nodes: Nodes, step: Array) -> float:
+    """Measure how far a short step (P,) of the parameters moves a curve: across itself, or at its end in any way."""
+    off = nodes.d_points @ step[: nodes.d_points.shape[2]]
     off[:-1] -= (off * nodes.tangents).sum(1, keepdims=True)[:-1] * nodes.tangents[:-1]
     return float(np.sqrt((off * off).sum(1).max()))
 
 
 def fit(
     problem: Problem, family: Family, p: Array, prior: Array, anchor: Array, worth_px: float, steps: int
-) -> tuple[Array, Nodes, Array, Array, Array, float]:
+) -> tuple[Array, Nodes, Array, Array, Array, float, float]:
     """Levenberg-Marquardt steps with robust weights.
+
+    Over a short step (`LINEAR_MM`) misses change linearly: weights follow them before the curve is measured again, and
+    the last step needs no measurement.
 
     Parameters
     ----------
@@ -213,43 +227,65 @@ def fit(
 
     Returns
     -------
-    p, nodes, residual, weight, jacobian, rms
+    p, nodes, residual, weight, jacobian, rms, tip_off
     """
 
+    def curve(p: Array) -> Nodes:
+        return nodes_of(family, p[: family.count + 4], problem.start)
+
     def look(p: Array, near: Indices) -> tuple[Nodes, Array, Array, Indices, float, Array]:
-        nodes = nodes_of(family, p[: family.count + 4], problem.start)
+        nodes = curve(p)
         return (nodes, *misses(problem, nodes, p, near), *end_miss(problem, nodes, len(p)))
+
+    def cost_of(p: Array, miss: Array, end: float, a: Array) -> tuple[Array, float]:
+        residual, cost = without_shifts(problem, miss, a)
+        return residual, cost + end**2 + float(anchor @ p**2)
+
+    def stepped(hessian: Array, gradient: Array) -> Array:
+        move = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
+        return np.asarray(p - move * min(1.0, STEP_MAX / max(float(np.abs(move[: family.count - 1]).max()), 1e-9)))
 
     state = look(p, np.floor(problem.place * INTERVALS + 0.5).astype(np.int64))
     weight = weights(problem, state[1])
     damping = DAMPING
     for _ in range(steps):
         nodes, miss, jacobian, near, end, end_jacobian = state
-        a = precision(problem, weight)
-        residual, cost = without_shifts(problem, miss, a)
-        cost += end**2 + float(anchor @ p**2)
-        hessian, gradient = normal_equations(problem, jacobian, residual, a)
-        hessian += np.outer(end_jacobian, end_jacobian) + np.diag(prior)
-        gradient += end_jacobian * end + anchor * p
+        last, earlier = False, np.inf
+        for again in range(REWEIGHTED + 1):
+            a = precision(problem, weight)
+            residual, cost = cost_of(p, miss, end, a)
+            hessian, gradient = normal_equations(problem, jacobian, residual, a)
+            hessian += np.outer(end_jacobian, end_jacobian) + np.diag(prior)
+            gradient += end_jacobian * end + anchor * p
+            trial = stepped(hessian, gradient)
+            moved = movement(nodes, trial - p)
+            if not moved < LINEAR_MM:
+                break
+            ahead = miss + jacobian @ (trial - p)
+            residual, ahead_cost = cost_of(trial, ahead, end + end_jacobian @ (trial - p), a)
+            last = moved < CONVERGED_MM or (ahead_cost > SLOW * cost and rms(problem, residual) > worth_px)
+            if last or again == REWEIGHTED or abs(moved - earlier) < CONVERGED_MM:
+                break
+            weight, earlier = weights(problem, residual), moved
+        if last:
+            p, state = trial, (curve(trial), ahead, *state[2:])
+            break
         for _ in range(8):
-            move = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
-            trial = p - move * min(1.0, STEP_MAX / max(float(np.abs(move[: family.count - 1]).max()), 1e-9))
             if trial[family.count - 1] > SHORTEST * p[family.count - 1]:
                 tried = look(trial, near)
-                trial_residual, trial_cost = without_shifts(problem, tried[1], a)
-                trial_cost += tried[4] ** 2 + float(anchor @ trial**2)
+                residual, trial_cost = cost_of(trial, tried[1], tried[4], a)
                 if trial_cost <= cost * (1 + 1e-9):
                     break
             damping *= 6.0
+            trial = stepped(hessian, gradient)
         else:
             break
-        moved = movement(nodes, tried[0])
-        p, state, residual, damping = trial, tried, trial_residual, max(damping / 10, 1e-9)
+        p, state, damping = trial, tried, max(damping / 10, 1e-9)
         weight = weights(problem, residual)
-        if moved < CONVERGED_MM or (trial_cost > SLOW * cost and rms(problem, residual) > worth_px):
+        if trial_cost > SLOW * cost and rms(problem, residual) > worth_px:
             break
     residual, _ = without_shifts(problem, state[1], precision(problem, weight))
-    return p, state[0], residual, weight, state[2], rms(problem, residual)
+    return p, state[0], residual, weight, state[2], rms(problem, residual), tip_off(problem, residual)
 
 
 def reduced_equations(
