@@ -57,7 +57,8 @@ class Shape:
 
 def angle_between(a: Array, b: Array) -> float:
     """Angle between two vectors, accurate for small angles too: ``atan2(|a x b|, a . b)``."""
-    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return math.atan2(math.hypot(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), ax * bx + ay * by + az * bz)
 
 
 def shape_of(curve: Curve3D, orientation_from_mm: float) -> Shape:
@@ -79,7 +80,7 @@ def shape_of(curve: Curve3D, orientation_from_mm: float) -> Shape:
         if isinstance(curve.from_rig, Deviations):
             rig = _deviations(values, rows, curve.from_rig.covariance)
     else:
-        values = _measure(curve).tolist()
+        values = _measure(curve)
         if isinstance(curve, NodeCurve) and curve.from_picture:
             picture = _differences(values, curve.from_picture)
             rig = _differences(values, curve.from_rig) if curve.from_rig else None
@@ -103,18 +104,18 @@ def _named(deviations: list[float] | None, oriented: bool) -> Mapping[str, float
     return named
 
 
-def _measure(curve: Curve3D) -> Array:
+def _measure(curve: Curve3D) -> list[float]:
     """Values (7,) in the order of `SD_NAMES`."""
     length = curve.length_mm
-    tip = curve.at([length])[0]
     if isinstance(curve, Arc):
-        tangents = curve.tangent([0.0, length])
+        tangents = curve.tangent(np.array([0.0, length]))
         turned = math.hypot(*curve.curvature_per_mm.tolist()) * length
     else:
         tangents = curve.tangent(np.linspace(0.0, length, _SAMPLES))
         turned = float(_turns(tangents).sum())
+    x, y, z = curve.at(np.array([length]))[0].tolist()
     bending = angle_between(tangents[0], tangents[-1])
-    return np.array([*tip, bending, np.arctan2(tip[1], tip[0]), length, turned / max(length, 1e-9)])
+    return [x, y, z, bending, math.atan2(y, x), length, turned / max(length, 1e-9)]
 
 
 def _turns(tangents: Array) -> Array:

@@ -15,7 +15,7 @@ from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.methods import agreement_kernels
-from tubesight.methods.rays import lens
+from tubesight.methods.rays import lens, optics
 from tubesight.vision.view import View
 
 # Largest distance of the tip rays from each other; a quarter of a tube's width more where the base is only an edge of
@@ -34,10 +34,9 @@ def triangulate_tip(views: Mapping[str, View], rig: Rig) -> Array:
     Unmeasurable
         If the axes do not meet.
     """
-    rays = {name: (view.tip.axis / view.tip.axis[2])[None] for name, view in views.items()}
-    tip: Array = rig.triangulate(rays)[0]
+    tip = triangulated({name: view.tip.axis / view.tip.axis[2] for name, view in views.items()}, rig)
     for name, view in views.items():
-        off = float(np.linalg.norm(rig.project(name, tip) - view.tip.px))
+        off = math.dist(projected(rig, name, tip).tolist(), view.tip.px.tolist())
         if not off <= _TIP_GAP_MAX_PX:
             raise Unmeasurable(
                 Status.VIEWS_DISAGREE, detail=f"the tip's rays miss each other by {off:.1f} px in {name}"
@@ -45,11 +44,31 @@ def triangulate_tip(views: Mapping[str, View], rig: Rig) -> Array:
     return tip
 
 
+def triangulated(rays: Mapping[str, Array], rig: Rig) -> Array:
+    """Point (3,) nearest to one ray (3,) ``v = (x, y, 1)`` of each camera (`Rig.triangulate`)."""
+    if not COMPILED:
+        return np.asarray(rig.triangulate({name: ray[None] for name, ray in rays.items()})[0])
+    sight = optics(rig, tuple(rays))
+    return agreement_kernels.triangulated(
+        np.stack(list(rays.values())), sight.rotation, sight.translation_mm, sight.focal_px
+    )
+
+
+def projected(rig: Rig, name: str, point_mm: Array) -> Array:
+    """Pixel (2,) of a point (3,) of the base frame (`Rig.project`); NaN where it is not in front of the camera."""
+    known = lens(rig.cameras[name]) if COMPILED else None
+    if known is None:
+        return rig.project(name, point_mm)
+    pose, px = rig.camera_from_base[name], np.empty(2)
+    seen = agreement_kernels.projected(point_mm, pose.rotation, pose.translation_mm, *known, px)
+    return px if seen else np.full(2, np.nan)
+
+
 def base_of(views: Mapping[str, View], rig: Rig) -> Array | None:
     """Triangulate the base (3,) of a free tube from where its start is seen; None where the rays do not meet."""
-    base: Array = rig.triangulate({name: view.base[None] for name, view in views.items()})[0]
+    base = triangulated({name: view.base for name, view in views.items()}, rig)
     for name, view in views.items():
-        off = float(np.linalg.norm(rig.project(name, base) - rig.cameras[name].project(view.base)))
+        off = float(np.linalg.norm(projected(rig, name, base) - rig.cameras[name].project(view.base)))
         if not off <= _BASE_GAP_WIDTHS * float(np.median(view.widths_px)):
             return None
     return base

@@ -1,4 +1,4 @@
-"""Compiled twin of the cubic Hermite spline of `tubesight.geometry.curve.NodeCurve`."""
+"""Compiled twins of the points and tangents of `tubesight.geometry.curve`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tubesight.core.kernels import compiled
 
 @compiled
 def hermite(s: Array, points: Array, tangents: Array, at: Array) -> tuple[Array, Array]:
-    """Points (N, 3) at arc lengths (N,) and their derivatives, past both ends by the last piece."""
+    """Twin of `tubesight.geometry.curve.hermite`."""
     places, slopes = np.empty((len(at), 3)), np.empty((len(at), 3))
     last, i = len(s) - 2, 0
     for k in range(len(at)):
@@ -27,3 +27,21 @@ def hermite(s: Array, points: Array, tangents: Array, at: Array) -> tuple[Array,
             places[k, c] = points[i, c] + x * (tangents[i, c] + x * (lean + x * bend / h))
             slopes[k, c] = tangents[i, c] + x * (2 * lean + 3 * x * bend / h)
     return places, slopes
+
+
+@compiled
+def arc(curvature: Array, rotation: Array, translation: Array, at: Array) -> tuple[Array, Array]:
+    """Twin of `tubesight.geometry.curve.arc`."""
+    points, tangents = np.empty((len(at), 3)), np.empty((len(at), 3))
+    kx, ky = curvature[0], curvature[1]
+    bend = np.sqrt(kx * kx + ky * ky)
+    for i in range(len(at)):
+        s = at[i]
+        half = s * bend / 2
+        ratio = np.sin(half) / half if half != 0 else 1.0
+        side, slope = s * s / 2 * ratio * ratio, s * ratio * np.cos(half)
+        for c in range(3):
+            x, y, z = rotation[c, 0], rotation[c, 1], rotation[c, 2]
+            points[i, c] = x * kx * side + y * ky * side + z * slope + translation[c]
+            tangents[i, c] = x * kx * slope + y * ky * slope + z * np.cos(2 * half)
+    return points, tangents
