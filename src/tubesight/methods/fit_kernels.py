@@ -22,7 +22,18 @@ from tubesight.methods.kernels import (
     without_shifts,
 )
 from tubesight.methods.rays import BIAS_PX, ROWS, Problem
-from tubesight.methods.solve import BLOCK_MM, CONVERGED_MM, DAMPING, LINEAR_MM, NUISANCES, REWEIGHTED, SHORTEST, SLOW
+from tubesight.methods.solve import (
+    BLOCK_MM,
+    CIRCLE,
+    CONVERGED_MM,
+    DAMPING,
+    LAST_MM,
+    LINEAR_MM,
+    NUISANCES,
+    REWEIGHTED,
+    SHORTEST,
+    SLOW,
+)
 
 
 def fit(
@@ -63,7 +74,7 @@ def levenberg_marquardt(
         near[i] = int(problem.place[i] * INTERVALS + 0.5)
     end_off = try_step(problem, kind, count, p, chain, nodes, near, miss, jacobian, end)
     weights(problem, miss, weight)
-    damping = DAMPING
+    damping, last_mm = DAMPING, LAST_MM if count == CIRCLE else CONVERGED_MM
     for _ in range(steps):
         last, better, earlier = False, False, np.inf
         for again in range(REWEIGHTED + 1):
@@ -77,8 +88,10 @@ def levenberg_marquardt(
             end_ahead = ahead(miss, jacobian, end, end_off, p, trial, other_miss)
             ahead_cost = without_shifts(problem, other_miss, a, factors, residual)
             ahead_cost += end_ahead * end_ahead + pull(anchor, trial)
-            last = moved < CONVERGED_MM or (ahead_cost > SLOW * cost and rms(problem, residual) > worth_px)
-            if last or again == REWEIGHTED or abs(moved - earlier) < CONVERGED_MM:
+            settled = moved < CONVERGED_MM or abs(moved - earlier) < CONVERGED_MM
+            hopeless = ahead_cost > SLOW * cost and rms(problem, residual) > worth_px
+            last = hopeless or (settled and moved < last_mm)
+            if last or settled or again == REWEIGHTED:
                 break
             weights(problem, residual, weight)
             earlier = moved
