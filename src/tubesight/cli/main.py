@@ -25,6 +25,7 @@ from tubesight.cli import (
     rig_export,
     run,
     simulate,
+    warmup,
 )
 from tubesight.cli.places import BaseCommand
 from tubesight.core.errors import InputError
@@ -71,6 +72,7 @@ app.command("methods")(methods.command)
 app.command("simulate")(simulate.command)
 app.command("bench")(bench.command)
 app.command("devices")(devices.command)
+app.command("warmup")(warmup.command)
 app.command("doctor")(doctor.command)
 
 

@@ -128,16 +128,17 @@ def _differences(values: list[float], displaced: Sequence[NodeCurve]) -> list[fl
     """Root sum of squares of what each displaced curve changes."""
     off = np.array([_measure(curve) for curve in displaced]) - values
     off[:, 4] = (off[:, 4] + np.pi) % (2 * np.pi) - np.pi
-    return list(np.sqrt((off**2).sum(0)).tolist())
+    return [float(sd) for sd in np.sqrt((off**2).sum(0))]
 
 
 def _deviations(values: list[float], rows: Array, covariance: Array) -> list[float]:
-    """Standard deviations in the order of `SD_NAMES` from the covariance of a curve's parameters.
+    """Derive standard deviations in the order of `SD_NAMES` from the covariance of a curve's parameters.
 
     Angle and curvature are lengths of vectors: what is ``a`` along such a vector u and ``c`` across it changes its
     length by ``a`` and ``hypot(u, c) - u``, the latter for tubes that are nearly straight.
     """
-    *deviations, across = (shape_kernels.spread if COMPILED else spread)(rows, covariance).tolist()
+    deviations = [float(sd) for sd in (shape_kernels.spread if COMPILED else spread)(rows, covariance)]
+    across = deviations.pop()
     bending, turned, length = values[3], values[6] * values[5], values[5]
     deviations[3] = math.hypot(deviations[3], math.hypot(bending, across) - bending)
     deviations[6] = math.hypot(deviations[6], (math.hypot(turned, across) - turned) / length)
@@ -177,7 +178,7 @@ def measured(
 
 
 def _axes(a: Array, b: Array) -> Array:
-    """Unit axes (..., 3) about which unit vectors a turn to b; any across a where they are equal."""
+    """Find the unit axes (..., 3) about which unit vectors a turn to b; any across a where they are equal."""
     across = np.stack([a[..., 1], -a[..., 0], np.zeros_like(a[..., 0])], -1)
     other = np.stack([np.zeros_like(a[..., 0]), a[..., 2], -a[..., 1]], -1)
     across = np.where(np.abs(a[..., 2:]) < 0.9, across, other)
@@ -187,5 +188,5 @@ def _axes(a: Array, b: Array) -> Array:
 
 
 def spread(rows: Array, covariance: Array) -> Array:
-    """Standard deviations (K,) of what changes with rows (K, P) by parameters of a covariance (P, P)."""
+    """Propagate a covariance (P, P) of parameters to deviations (K,) of what changes with rows (K, P) by them."""
     return np.asarray(np.sqrt(np.maximum(((rows @ covariance) * rows).sum(1), 0.0)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.core.kernels import compiled
+from tubesight.core.kernels import compiled, part
 
 
 @compiled
@@ -42,7 +42,7 @@ def measured(
     return np.array([x, y, z, bending, np.arctan2(y, x), length, curvature]), rows
 
 
-@compiled
+@part
 def turning(tangents: Array, i: int, j: int, axis: Array) -> float:
     """Angle between two tangents; writes the unit axis they turn about, any across the first where they do not."""
     a, b = tangents[i], tangents[j]
@@ -74,7 +74,7 @@ def spread(rows: Array, covariance: Array) -> Array:
     return out
 
 
-@compiled
+@part
 def form(rows: Array, k: int, matrix: Array) -> float:
     """Quadratic form of a row and a symmetric matrix."""
     total = 0.0

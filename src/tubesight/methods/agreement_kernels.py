@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.core.kernels import compiled
+from tubesight.core.kernels import compiled, part
 from tubesight.geometry.rig import PARALLEL
 from tubesight.methods.ray_kernels import solve_three
 
@@ -48,10 +48,11 @@ def projected(point: Array, rotation: Array, translation: Array, matrix: Array, 
     return np.isfinite(px[0]) and np.isfinite(px[1])  # type: ignore[no-any-return]
 
 
-@compiled
+@part
 def pieces(px: Array) -> tuple[Array, Array]:
-    """Segments (M - 1, 5) of a polyline (M, 2): start, step, inverse square of its length; and circles (C, 3) that hold
-    `PIECE` of them each: centre and radius.
+    """Cut a polyline (M, 2) into segments (M - 1, 5) and circles (C, 3) that hold `PIECE` of them each.
+
+    Segments: start, step, inverse square of its length. Circles: centre, radius.
     """
     last = len(px) - 1
     segments, circles = np.empty((last, 5)), np.empty(((last + PIECE - 1) // PIECE, 3))
@@ -70,7 +71,7 @@ def pieces(px: Array) -> tuple[Array, Array]:
     return segments, circles
 
 
-@compiled
+@part
 def nearest(segments: Array, circles: Array, x: float, y: float, guess: int) -> tuple[float, int]:
     """Square of the distance of a point from a polyline cut by `pieces`, and its nearest segment.
 
@@ -90,13 +91,13 @@ def nearest(segments: Array, circles: Array, x: float, y: float, guess: int) -> 
     return best, found
 
 
-@compiled
+@part
 def from_segment(segments: Array, x: float, y: float, i: int) -> float:
     """Square of the distance of a point from a segment."""
     u, v, dx, dy = x - segments[i, 0], y - segments[i, 1], segments[i, 2], segments[i, 3]
     share = min(max((u * dx + v * dy) * segments[i, 4], 0.0), 1.0)
     u, v = u - share * dx, v - share * dy
-    return u * u + v * v
+    return u * u + v * v  # type: ignore[no-any-return]
 
 
 @compiled

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tubesight.core import Array, sealed
-from tubesight.core.kernels import compiled
+from tubesight.core.kernels import compiled, part
 from tubesight.geometry.families import INTERVALS, Family, Nodes
 from tubesight.methods.curve_kernels import NodeArrays, empty_chain, empty_nodes, nodes_of
 from tubesight.methods.kernels import (
@@ -130,7 +130,7 @@ def levenberg_marquardt(
     return p, nodes, residual, weight, jacobian, rms(problem, residual), tip_off(problem, residual)
 
 
-@compiled
+@part
 def equations(
     problem: Problem,
     p: Array,
@@ -147,7 +147,7 @@ def equations(
     hessian: Array,
     gradient: Array,
 ) -> float:
-    """Normal equations of a step with all that is known, and the cost; writes `a`, `factors` and `residual` too."""
+    """Write the normal equations of a step with all that is known, `a`, `factors` and `residual`; return the cost."""
     shift_factors(problem, weight, a, factors)
     cost = without_shifts(problem, miss, a, factors, residual) + end_off * end_off + pull(anchor, p)
     for q in range(len(p)):
@@ -156,10 +156,10 @@ def equations(
             hessian[q, r] = end[q] * end[r]
         hessian[q, q] += prior[q]
     normal_equations(problem, jacobian, residual, a, factors, hessian, gradient)
-    return cost  # type: ignore[no-any-return]
+    return cost
 
 
-@compiled
+@part
 def ahead(miss: Array, jacobian: Array, end: Array, end_off: float, p: Array, trial: Array, moved_miss: Array) -> float:
     """Misses after a short step, written into `moved_miss`; returns the miss of a flat end."""
     for i in range(len(miss)):
@@ -172,7 +172,7 @@ def ahead(miss: Array, jacobian: Array, end: Array, end_off: float, p: Array, tr
     return end_off
 
 
-@compiled
+@part
 def pull(anchor: Array, p: Array) -> float:
     """Cost of parameters that are expected to be 0."""
     cost = 0.0
@@ -181,7 +181,7 @@ def pull(anchor: Array, p: Array) -> float:
     return cost
 
 
-@compiled
+@part
 def movement(nodes: NodeArrays, p: Array, trial: Array) -> float:
     """Twin of `tubesight.methods.solve.movement`, of the step from `p` to `trial`."""
     tangents, d_points = nodes[1], nodes[4]
@@ -199,7 +199,7 @@ def movement(nodes: NodeArrays, p: Array, trial: Array) -> float:
     return np.sqrt(largest)  # type: ignore[no-any-return]
 
 
-@compiled
+@part
 def tip_off(problem: Problem, residual: Array) -> float:
     """Twin of `tubesight.methods.solve.tip_off`."""
     most = 0.0
@@ -256,7 +256,7 @@ def sandwich(
     return covariance
 
 
-@compiled
+@part
 def gradients(
     problem: Problem,
     jacobian: Array,
@@ -295,7 +295,7 @@ def gradients(
     return blocks
 
 
-@compiled
+@part
 def add_square(vector: Array, factor_: float, matrix: Array) -> None:
     """Add a vector's outer product with itself to a matrix."""
     for q in range(len(vector)):

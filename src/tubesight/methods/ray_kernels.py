@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.core.kernels import compiled
+from tubesight.core.kernels import compiled, part
 
 # Steps of Newton's method, and residual on the image plane at which it ends, as in `tubesight.geometry.lens`.
 _STEPS, _TOLERANCE = 20, 1e-14
@@ -84,7 +84,7 @@ def meeting_point(directions: Array, centres: Array, focal_px: Array) -> tuple[A
     return point, worst
 
 
-@compiled
+@part
 def solve_three(a: Array, b: Array, x: Array) -> float:
     """Solve a symmetric system of three equations by Cramer's rule into `x`.
 
@@ -154,7 +154,7 @@ def gather(
     return np.isfinite(total)  # type: ignore[no-any-return]
 
 
-@compiled
+@part
 def evenly(j: int, count: int, most: int) -> int:
     """Place j of those chosen by `tubesight.methods.rays.spread`."""
     if count <= most:
@@ -162,7 +162,7 @@ def evenly(j: int, count: int, most: int) -> int:
     return int(j * ((count - 1) / (most - 1)) + 0.5)
 
 
-@compiled
+@part
 def turn_back(x: float, y: float, z: float, rotation: Array, direction: Array) -> None:
     """Write the direction in the base frame of a camera's ray; the rotation is ``camera_from_base``."""
     for c in range(3):

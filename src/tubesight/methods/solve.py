@@ -265,7 +265,7 @@ def fit(
             if not moved < LINEAR_MM:
                 break
             ahead = miss + jacobian @ (trial - p)
-            residual, ahead_cost = cost_of(trial, ahead, end + end_jacobian @ (trial - p), a)
+            residual, ahead_cost = cost_of(trial, ahead, end + float(end_jacobian @ (trial - p)), a)
             settled = moved < CONVERGED_MM or abs(moved - earlier) < CONVERGED_MM
             hopeless = ahead_cost > SLOW * cost and rms(problem, residual) > worth_px
             last = hopeless or (settled and moved < last_mm)

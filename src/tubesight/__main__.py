@@ -1,0 +1,5 @@
+"""``python -m tubesight``: the command line."""
+
+from tubesight.cli.main import main
+
+main()
