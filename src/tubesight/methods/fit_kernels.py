@@ -74,27 +74,13 @@ def levenberg_marquardt(
         near[i] = int(problem.place[i] * INTERVALS + 0.5)
     end_off = try_step(problem, kind, count, p, chain, nodes, near, miss, jacobian, end)
     weights(problem, miss, weight)
-    damping, last_mm = DAMPING, LAST_MM if count == CIRCLE else CONVERGED_MM
+    damping = DAMPING
     for _ in range(steps):
-        last, better, earlier = False, False, np.inf
-        for again in range(REWEIGHTED + 1):
-            cost = equations(
-                problem, p, prior, anchor, weight, miss, jacobian, end, end_off, a, factors, residual, hessian, gradient
-            )
-            stepped(p, hessian, gradient, damping, count, trial)
-            moved = movement(nodes, p, trial)
-            if not moved < LINEAR_MM:
-                break
-            end_ahead = ahead(miss, jacobian, end, end_off, p, trial, other_miss)
-            ahead_cost = without_shifts(problem, other_miss, a, factors, residual)
-            ahead_cost += end_ahead * end_ahead + pull(anchor, trial)
-            settled = moved < CONVERGED_MM or abs(moved - earlier) < CONVERGED_MM
-            hopeless = ahead_cost > SLOW * cost and rms(problem, residual) > worth_px
-            last = hopeless or (settled and moved < last_mm)
-            if last or settled or again == REWEIGHTED:
-                break
-            weights(problem, residual, weight)
-            earlier = moved
+        better = False
+        cost, last = reweighted(
+            problem, p, prior, anchor, weight, miss, jacobian, end, end_off, nodes, damping, worth_px, count,
+            a, factors, residual, hessian, gradient, trial, other_miss,
+        )  # fmt: skip
         if last:
             p[:] = trial
             miss, other_miss = other_miss, miss
@@ -128,6 +114,53 @@ def levenberg_marquardt(
     shift_factors(problem, weight, a, factors)
     without_shifts(problem, miss, a, factors, residual)
     return p, nodes, residual, weight, jacobian, rms(problem, residual), tip_off(problem, residual)
+
+
+@part
+def reweighted(
+    problem: Problem,
+    p: Array,
+    prior: Array,
+    anchor: Array,
+    weight: Array,
+    miss: Array,
+    jacobian: Array,
+    end: Array,
+    end_off: float,
+    nodes: NodeArrays,
+    damping: float,
+    worth_px: float,
+    count: int,
+    a: Array,
+    factors: Array,
+    residual: Array,
+    hessian: Array,
+    gradient: Array,
+    trial: Array,
+    ahead_miss: Array,
+) -> tuple[float, bool]:
+    """Twin of `tubesight.methods.solve.reweighted`, written into what follows `count`; returns cost and `last`."""
+    last_mm = LAST_MM if count == CIRCLE else CONVERGED_MM
+    earlier, cost, last = np.inf, 0.0, False
+    for again in range(REWEIGHTED + 1):
+        cost = equations(
+            problem, p, prior, anchor, weight, miss, jacobian, end, end_off, a, factors, residual, hessian, gradient
+        )
+        stepped(p, hessian, gradient, damping, count, trial)
+        moved = movement(nodes, p, trial)
+        if not moved < LINEAR_MM:
+            break
+        end_ahead = ahead(miss, jacobian, end, end_off, p, trial, ahead_miss)
+        ahead_cost = without_shifts(problem, ahead_miss, a, factors, residual)
+        ahead_cost += end_ahead * end_ahead + pull(anchor, trial)
+        settled = moved < CONVERGED_MM or abs(moved - earlier) < CONVERGED_MM
+        hopeless = ahead_cost > SLOW * cost and rms(problem, residual) > worth_px
+        last = hopeless or (settled and moved < last_mm)
+        if hopeless or settled or again == REWEIGHTED:
+            break
+        weights(problem, residual, weight)
+        earlier = moved
+    return cost, last
 
 
 @part

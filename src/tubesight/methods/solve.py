@@ -8,10 +8,12 @@ normal equations of p with their Schur complement.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.geometry.families import INTERVALS, Family, Nodes, nodes_of
+from tubesight.geometry.families import BASE, INTERVALS, Family, Nodes, nodes_of
 from tubesight.methods.rays import BIAS_PX, ROWS, Indices, Problem
 
 # Shifts of a view: of all edges, and two lobes of each row.
@@ -209,6 +211,33 @@ def movement(nodes: Nodes, step: Array) -> float:
     return float(np.sqrt((off * off).sum(1).max()))
 
 
+class Look(NamedTuple):
+    """A curve as `misses` and `end_miss` see it."""
+
+    nodes: Nodes
+    miss: Array
+    jacobian: Array
+    near: Indices
+    end: float
+    end_jacobian: Array
+
+
+class Step(NamedTuple):
+    """A step from `p` to `trial`, with what it was found by.
+
+    `last` tells that no measurement is needed after it: `ahead` are the misses then.
+    """
+
+    weight: Array
+    a: Array
+    cost: float
+    hessian: Array
+    gradient: Array
+    trial: Array
+    ahead: Array
+    last: bool
+
+
 def fit(
     problem: Problem, family: Family, p: Array, prior: Array, anchor: Array, worth_px: float, steps: int
 ) -> tuple[Array, Nodes, Array, Array, Array, float, float]:
@@ -232,65 +261,87 @@ def fit(
     -------
     p, nodes, residual, weight, jacobian, rms, tip_off
     """
-
-    def curve(p: Array) -> Nodes:
-        return nodes_of(family, p[: family.count + 4], problem.start)
-
-    def look(p: Array, near: Indices) -> tuple[Nodes, Array, Array, Indices, float, Array]:
-        nodes = curve(p)
-        return (nodes, *misses(problem, nodes, p, near), *end_miss(problem, nodes, len(p)))
-
-    def cost_of(p: Array, miss: Array, end: float, a: Array) -> tuple[Array, float]:
-        residual, cost = without_shifts(problem, miss, a)
-        return residual, cost + end**2 + float(anchor @ p**2)
-
-    def stepped(hessian: Array, gradient: Array) -> Array:
-        move = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
-        return np.asarray(p - move * min(1.0, STEP_MAX / max(float(np.abs(move[: family.count - 1]).max()), 1e-9)))
-
-    state = look(p, np.floor(problem.place * INTERVALS + 0.5).astype(np.int64))
-    weight = weights(problem, state[1])
-    damping, last_mm = DAMPING, LAST_MM if family.count == CIRCLE else CONVERGED_MM
+    count = family.count
+    here = look(problem, family, p, np.floor(problem.place * INTERVALS + 0.5).astype(np.int64))
+    weight = weights(problem, here.miss)
+    damping = DAMPING
     for _ in range(steps):
-        nodes, miss, jacobian, near, end, end_jacobian = state
-        last, earlier = False, np.inf
-        for again in range(REWEIGHTED + 1):
-            a = precision(problem, weight)
-            residual, cost = cost_of(p, miss, end, a)
-            hessian, gradient = normal_equations(problem, jacobian, residual, a)
-            hessian += np.outer(end_jacobian, end_jacobian) + np.diag(prior)
-            gradient += end_jacobian * end + anchor * p
-            trial = stepped(hessian, gradient)
-            moved = movement(nodes, trial - p)
-            if not moved < LINEAR_MM:
-                break
-            ahead = miss + jacobian @ (trial - p)
-            residual, ahead_cost = cost_of(trial, ahead, end + float(end_jacobian @ (trial - p)), a)
-            settled = moved < CONVERGED_MM or abs(moved - earlier) < CONVERGED_MM
-            hopeless = ahead_cost > SLOW * cost and rms(problem, residual) > worth_px
-            last = hopeless or (settled and moved < last_mm)
-            if last or settled or again == REWEIGHTED:
-                break
-            weight, earlier = weights(problem, residual), moved
-        if last:
-            p, state = trial, (curve(trial), ahead, *state[2:])
+        step = reweighted(problem, here, p, prior, anchor, weight, damping, worth_px, count)
+        weight, trial = step.weight, step.trial
+        if step.last:
+            p = trial
+            here = here._replace(nodes=nodes_of(family, p[: count + BASE], problem.start), miss=step.ahead)
             break
         for _ in range(8):
-            if trial[family.count - 1] > SHORTEST * p[family.count - 1]:
-                tried = look(trial, near)
-                residual, trial_cost = cost_of(trial, tried[1], tried[4], a)
-                if trial_cost <= cost * (1 + 1e-9):
+            if trial[count - 1] > SHORTEST * p[count - 1]:
+                there = look(problem, family, trial, here.near)
+                residual, cost = cost_of(problem, trial, anchor, there.miss, there.end, step.a)
+                if cost <= step.cost * (1 + 1e-9):
                     break
             damping *= 6.0
-            trial = stepped(hessian, gradient)
+            trial = stepped(p, step.hessian, step.gradient, damping, count)
         else:
             break
-        p, state, damping = trial, tried, max(damping / 10, 1e-9)
+        p, here, damping = trial, there, max(damping / 10, 1e-9)
         weight = weights(problem, residual)
-        if trial_cost > SLOW * cost and rms(problem, residual) > worth_px:
+        if cost > SLOW * step.cost and rms(problem, residual) > worth_px:
             break
-    residual, _ = without_shifts(problem, state[1], precision(problem, weight))
-    return p, state[0], residual, weight, state[2], rms(problem, residual), tip_off(problem, residual)
+    residual, _ = without_shifts(problem, here.miss, precision(problem, weight))
+    return p, here.nodes, residual, weight, here.jacobian, rms(problem, residual), tip_off(problem, residual)
+
+
+def reweighted(
+    problem: Problem,
+    here: Look,
+    p: Array,
+    prior: Array,
+    anchor: Array,
+    weight: Array,
+    damping: float,
+    worth_px: float,
+    count: int,
+) -> Step:
+    """Step from `p`, with weights that have followed it where it is short."""
+    last_mm = LAST_MM if count == CIRCLE else CONVERGED_MM
+    earlier = np.inf
+    for again in range(REWEIGHTED + 1):
+        a = precision(problem, weight)
+        residual, cost = cost_of(problem, p, anchor, here.miss, here.end, a)
+        hessian, gradient = normal_equations(problem, here.jacobian, residual, a)
+        hessian += np.outer(here.end_jacobian, here.end_jacobian) + np.diag(prior)
+        gradient += here.end_jacobian * here.end + anchor * p
+        trial = stepped(p, hessian, gradient, damping, count)
+        ahead = here.miss + here.jacobian @ (trial - p)
+        step = Step(weight, a, cost, hessian, gradient, trial, ahead, False)
+        moved = movement(here.nodes, trial - p)
+        if not moved < LINEAR_MM:
+            return step
+        end = here.end + float(here.end_jacobian @ (trial - p))
+        residual, ahead_cost = cost_of(problem, trial, anchor, ahead, end, a)
+        settled = moved < CONVERGED_MM or abs(moved - earlier) < CONVERGED_MM
+        hopeless = ahead_cost > SLOW * cost and rms(problem, residual) > worth_px
+        if hopeless or settled or again == REWEIGHTED:
+            break
+        weight, earlier = weights(problem, residual), moved
+    return step._replace(last=hopeless or (settled and moved < last_mm))
+
+
+def look(problem: Problem, family: Family, p: Array, near: Indices) -> Look:
+    """Look at the curve of parameters `p` (P,)."""
+    nodes = nodes_of(family, p[: family.count + BASE], problem.start)
+    return Look(nodes, *misses(problem, nodes, p, near), *end_miss(problem, nodes, len(p)))
+
+
+def cost_of(problem: Problem, p: Array, anchor: Array, miss: Array, end: float, a: Array) -> tuple[Array, float]:
+    """Residuals (N,) without shifts, and the cost with that of the end and of the parameters."""
+    residual, cost = without_shifts(problem, miss, a)
+    return residual, cost + end**2 + float(anchor @ p**2)
+
+
+def stepped(p: Array, hessian: Array, gradient: Array, damping: float, count: int) -> Array:
+    """Parameters (P,) after a Levenberg-Marquardt step, cut to `STEP_MAX`."""
+    move = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
+    return np.asarray(p - move * min(1.0, STEP_MAX / max(float(np.abs(move[: count - 1]).max()), 1e-9)))
 
 
 def reduced_equations(
