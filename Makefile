@@ -29,6 +29,7 @@ $(INSTALLED): pyproject.toml
 		|| { echo "error: $(PYTHON) cannot make a virtual environment; install its venv module (python3-venv)"; exit 1; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=25.1"
 	$(BIN)/python -m pip install --quiet --editable ".[all]" --group dev
+	$(BIN)/tubesight warmup
 	@touch $@
 
 demo: $(INSTALLED)

@@ -16,6 +16,7 @@ def test_every_pair_is_timed() -> None:
     assert 0 < timing.median_us <= timing.p99_us
     assert set(timing.stages_us) == {"see left", "see right", "solve"}
     assert measured.ratios("cone_ray")["paper"] == pytest.approx(PAPER_US / timing.median_us)
+    assert measured.yuyv_us["cone_ray"] > 0
     assert set(measured.decoding_us) == {"jpeg_colour", "jpeg_gray", "yuyv_to_bgr", "yuyv_gray_view"}
 
 

@@ -18,6 +18,7 @@ from tubesight.methods import METHODS
 from tubesight.methods.agreement import reprojection_rms_px
 from tubesight.methods.common_end import to_common_end
 from tubesight.methods.mark import from_mark, marked_width_px
+from tubesight.methods.rays import optics
 from tubesight.vision.mark import starts_at
 from tubesight.vision.see import Start, clamp_start
 from tubesight.vision.view import View
@@ -163,12 +164,10 @@ class ShapeSensor:
         return None, base_px
 
     def _tip_sd_mm(self, curve: Curve3D) -> float:
-        tip = curve.at([curve.length_mm])[0]
-        per_px = [
-            float(pose.apply(tip)[2]) / self.rig.cameras[name].focal_px
-            for name, pose in self.rig.camera_from_base.items()
-        ]
-        return _TIP_SD_PX * max(per_px)
+        tip = curve.at(np.array([curve.length_mm]))[0]
+        sight = optics(self.rig, tuple(self.rig.camera_from_base))
+        depth = sight.rotation[:, 2] @ tip + sight.translation_mm[:, 2]
+        return _TIP_SD_PX * float((depth / sight.focal_px).max())
 
 
 @contextmanager

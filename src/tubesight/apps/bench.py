@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import gc
-import resource
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from typing import Any
 
 import cv2
 import numpy as np
 
+from tubesight.apps.memory import Soak, alone_mb, soak
 from tubesight.core import FramePair, Image, Tip, Tube
 from tubesight.geometry.rig import Rig
 from tubesight.methods import METHODS
@@ -66,14 +68,19 @@ class Benchmark:
         Timings by method.
     decoding_us
         Medians of decoding one picture, by format.
+    yuyv_us
+        Medians by method on the Y plane of YUYV pictures, taken as it lies in their buffers; NaN where no pair gave a
+        shape (the reference needs colour).
     memory_mb
-        Largest resident memory, without the ring of pictures.
+        Resident memory of a process that does nothing but measure with the first of the methods; NaN where the
+        system does not tell.
     """
 
     pairs: int
     size_px: tuple[int, int]
     methods: Mapping[str, Timing]
     decoding_us: Mapping[str, float]
+    yuyv_us: Mapping[str, float]
     memory_mb: float
 
     def ratios(self, name: str) -> dict[str, float]:
@@ -100,6 +107,7 @@ class Benchmark:
             "size_px": list(self.size_px),
             "methods": methods,
             "decoding_us": dict(self.decoding_us),
+            "yuyv_us": dict(self.yuyv_us),
             "memory_mb": self.memory_mb,
         }
 
@@ -122,7 +130,6 @@ def run_benchmark(pairs: int, names: Sequence[str] = (), progress: Progress | No
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {unknown[0]!r}")
     rig = rig_around(90.0)
     ring = _ring(rig)
-    held_mb = sum(image.nbytes for pair in ring for image in pair.images.values()) / 1e6
     sensors = {name: ShapeSensor(rig, _TUBE, name) for name in names}
     times: dict[str, list[float]] = {name: [] for name in names}
     stages: dict[str, list[Mapping[str, float]]] = {name: [] for name in names}
@@ -141,6 +148,7 @@ def run_benchmark(pairs: int, names: Sequence[str] = (), progress: Progress | No
             if progress is not None:
                 progress(k + 1, pairs)
         decoding = _decoding(ring)
+        yuyv = {name: _yuyv_us(sensor, ring) for name, sensor in sensors.items()}
     timings = {
         name: Timing(
             median(times[name]),
@@ -150,20 +158,25 @@ def run_benchmark(pairs: int, names: Sequence[str] = (), progress: Progress | No
         )
         for name in names
     }
-    memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3 - held_mb
-    return Benchmark(pairs, rig.cameras[rig.names[0]].size_px, timings, decoding, memory_mb)
+    size_px = rig.cameras[rig.names[0]].size_px
+    return Benchmark(pairs, size_px, timings, decoding, yuyv, alone_mb(rig, _TUBE, ring[0], names[0]))
 
 
 def _ring(rig: Rig) -> list[FramePair]:
     """Copy a few different pairs until they are larger than the cache together."""
-    phantoms = [Arc(np.radians(10 + 20 * k), np.radians(47 * k), 160.0) for k in range(4)]
-    made = [render_pair(rig, phantom, _TUBE, name=str(k)) for k, phantom in enumerate(phantoms)]
+    made = _rendered(rig)
     size_mb = sum(image.nbytes for image in made[0].images.values()) / 1e6
     count = max(int(_RING_MB / size_mb), len(made))
     return [
         FramePair({name: image.copy() for name, image in made[k % len(made)].images.items()}, str(k))
         for k in range(count)
     ]
+
+
+def _rendered(rig: Rig) -> list[FramePair]:
+    """Pictures of four arcs."""
+    phantoms = [Arc(np.radians(10 + 20 * k), np.radians(47 * k), 160.0) for k in range(4)]
+    return [render_pair(rig, phantom, _TUBE, name=str(k)) for k, phantom in enumerate(phantoms)]
 
 
 @contextmanager
@@ -194,6 +207,38 @@ def _decoding(ring: Sequence[FramePair]) -> dict[str, float]:
         "yuyv_gray_view": lambda: yuyv[..., 0],
     }
     return {name: median(_cpu_us(decode) for _ in range(_DECODES)) for name, decode in work.items()}
+
+
+def _yuyv_us(sensor: ShapeSensor, ring: Sequence[FramePair]) -> float:
+    """Median of pairs of Y planes, each a view of every second byte of its buffer."""
+    times: list[float] = []
+    for pair in ring[:_DECODES]:
+        planes = {}
+        for name, image in pair.images.items():
+            buffer = np.full((*image.shape[:2], 2), 128, np.uint8)
+            buffer[..., 0] = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+            planes[name] = buffer[..., 0]
+        gray = FramePair(planes, pair.name)
+        if not times and not sensor(gray):
+            return math.nan
+        times.append(_cpu_us(partial(sensor, gray)))
+    return median(times)
+
+
+def run_soak(pairs: int, method: str, progress: Progress | None = None) -> Soak:
+    """Measure a few simulated pairs over and over, and how the memory of this process grows.
+
+    Parameters
+    ----------
+    pairs
+        How many pairs are measured.
+    method
+        Name of the method.
+    progress
+        Called with the number of pairs done and their total.
+    """
+    rig = rig_around(90.0)
+    return soak(ShapeSensor(rig, _TUBE, method), _rendered(rig), pairs, progress)
 
 
 def _cpu_us(work: Callable[[], object]) -> float:

@@ -35,6 +35,7 @@ from tubesight.cli import (
     simulate,
     soak,
     view,
+    warmup,
 )
 from tubesight.cli.places import BaseCommand
 from tubesight.core.errors import InputError
@@ -91,6 +92,7 @@ app.command("bench")(bench.command)
 app.command("reproduce")(reproduce.command)
 app.command("soak")(soak.command)
 app.command("devices")(devices.command)
+app.command("warmup")(warmup.command)
 app.command("doctor")(doctor.command)
 
 

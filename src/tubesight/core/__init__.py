@@ -1,6 +1,6 @@
 """The nouns everything shares; no logic."""
 
-from tubesight.core.arrays import Array, Image, Mask, readonly
+from tubesight.core.arrays import Array, Image, Mask, readonly, sealed
 from tubesight.core.board import Board
 from tubesight.core.errors import InputError
 from tubesight.core.frames import Frame, FramePair
@@ -21,4 +21,5 @@ __all__ = [
     "Tube",
     "Unmeasurable",
     "readonly",
+    "sealed",
 ]

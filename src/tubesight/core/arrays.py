@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeGuard
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -9,9 +11,27 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]
 
+_FLOAT = np.dtype(np.float64)
+
+
+def sealed(array: Array) -> Array:
+    """Make a fresh array read-only, in place: what `readonly` takes without a copy."""
+    array.flags.writeable = False
+    return array
+
+
+def _is_sealed(values: ArrayLike) -> TypeGuard[Array]:
+    """Whether values are a read-only float64 array in C order that owns its memory."""
+    if type(values) is not np.ndarray or values.dtype is not _FLOAT or values.base is not None:
+        return False
+    flags = values.flags
+    return not flags.writeable and bool(flags.c_contiguous)
+
 
 def readonly(values: ArrayLike, shape: tuple[int | None, ...], name: str) -> Array:
-    """Copy `values` to a read-only float64 array and check its shape.
+    """Copy `values` to a read-only float64 array and check its shape; one that is `sealed` already is not copied.
+
+    The array is laid out in C order, so that compiled code meets one type of it.
 
     Parameters
     ----------
@@ -27,7 +47,7 @@ def readonly(values: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arr
     ValueError
         If the shape differs; the message gives both.
     """
-    array = np.array(values, dtype=np.float64)
+    array = values if _is_sealed(values) else np.array(values, dtype=np.float64, order="C")
     fits = array.ndim == len(shape) and all(want in (None, got) for want, got in zip(shape, array.shape, strict=True))
     if not fits:
         wanted = "(" + ", ".join("N" if n is None else str(n) for n in shape) + ")"

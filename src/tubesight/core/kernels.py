@@ -22,6 +22,7 @@ _SOURCES = (
     "methods/solve.py",
     "methods/rays.py",
     "geometry/families.py",
+    "geometry/rig.py",
     "geometry/lens.py",
     "vision/*.py",
 )
@@ -54,11 +55,12 @@ def _folder() -> Path | None:
     return None
 
 
-_CACHE = _folder()
+#: Folder of compiled code; None where none can be written.
+FOLDER = _folder()
 
 #: Whether functions are compiled. Without a folder to keep them in, that would cost seconds in every process: the NumPy
 #: twins are used then.
-COMPILED = _CACHE is not None and not _CONFIG.DISABLE_JIT
+COMPILED = FOLDER is not None and not _CONFIG.DISABLE_JIT
 
 
 def compiled(function: F) -> F:
@@ -66,7 +68,7 @@ def compiled(function: F) -> F:
     if not COMPILED:
         return function
     before = _CONFIG.CACHE_DIR
-    _CONFIG.CACHE_DIR = str(_CACHE)
+    _CONFIG.CACHE_DIR = str(FOLDER)
     try:
         return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
     finally:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from tubesight.core import Array
+from tubesight.core import Array, sealed
 from tubesight.geometry.conic import fit_halir_flusser
 from tubesight.geometry.curve import Arc, EllipseArc, NodeCurve
 from tubesight.geometry.pose import Pose
@@ -33,14 +34,14 @@ def clamped_arc(tip_mm: Array) -> Arc:
     ValueError
         If the tip is the origin, or lies on the -z axis (no arc leads there).
     """
-    x, y, z = (float(c) for c in tip_mm)
-    side, chord = float(np.hypot(x, y)), float(np.linalg.norm(tip_mm))
-    theta = 2 * float(np.arctan2(side, z))
+    x, y, z = tip_mm.tolist()
+    side, chord = math.hypot(x, y), math.hypot(x, y, z)
+    half = math.atan2(side, z)
     if chord == 0 or (side == 0 and z < 0):
         raise ValueError(f"no clamped arc ends in {tip_mm}")
-    length = chord / float(np.sinc(theta / 2 / np.pi))
-    direction = np.array([x, y]) / side if side > 0 else np.zeros(2)
-    return Arc(direction * theta / length, length)
+    length = chord * half / math.sin(half) if half > 0 else chord
+    bend = 2 * half / (side * length) if side > 0 else 0.0
+    return Arc(sealed(np.array([bend * x, bend * y])), length)
 
 
 def tangent_arc(start: Pose, chord_mm: Array) -> Arc:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline
 
 from tubesight.core import Array, readonly
+from tubesight.core.kernels import COMPILED
+from tubesight.geometry import point_kernels
 from tubesight.geometry.pose import Pose
 
 # Panels and nodes of the quadrature of an ellipse's arc length: 1e-13 relative for axis ratios up to 10.
 _PANELS = 64
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+# Where a tube in its clamp starts.
+_CLAMP = Pose.identity()
 
 
 class Curve3D(Protocol):
@@ -57,8 +61,8 @@ class NodeCurve:
     s_mm: Array
     points_mm: Array
     tangents: Array
-    from_picture: tuple[NodeCurve, ...] = ()
-    from_rig: tuple[NodeCurve, ...] = ()
+    from_picture: Sequence[NodeCurve] = ()
+    from_rig: Sequence[NodeCurve] = ()
     note: str = ""
 
     def __post_init__(self) -> None:
@@ -71,18 +75,32 @@ class NodeCurve:
         """Arc length from base to tip."""
         return float(self.s_mm[-1])
 
-    @cached_property
-    def _spline(self) -> CubicHermiteSpline:
-        return CubicHermiteSpline(self.s_mm, self.points_mm, self.tangents)
-
     def at(self, s_mm: ArrayLike) -> Array:
         """Return points (N, 3) at arc lengths (N,)."""
-        return np.asarray(self._spline(np.asarray(s_mm, float)), dtype=np.float64)
+        return self._hermite(s_mm)[0]
 
     def tangent(self, s_mm: ArrayLike) -> Array:
         """Return unit tangents (N, 3) at arc lengths (N,)."""
-        t = np.asarray(self._spline(np.asarray(s_mm, float), 1), dtype=np.float64)
-        return np.asarray(t / np.linalg.norm(t, axis=-1, keepdims=True))
+        t = self._hermite(s_mm)[1]
+        return np.asarray(t / np.sqrt((t * t).sum(-1, keepdims=True)))
+
+    def _hermite(self, s_mm: ArrayLike) -> tuple[Array, Array]:
+        s = np.array(s_mm, float)
+        places, slopes = (point_kernels.hermite if COMPILED else hermite)(
+            self.s_mm, self.points_mm, self.tangents, s.ravel()
+        )
+        return places.reshape(*s.shape, 3), slopes.reshape(*s.shape, 3)
+
+
+def hermite(s: Array, points: Array, tangents: Array, at: Array) -> tuple[Array, Array]:
+    """Points (N, 3) at arc lengths (N,) of the cubic spline through points with given derivatives, and its derivatives.
+
+    SciPy's spline, imported only here: that takes longer than a result.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+
+    spline = CubicHermiteSpline(s, points, tangents)
+    return np.asarray(spline(at)), np.asarray(spline(at, 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +123,7 @@ class Arc:
 
     curvature_per_mm: Array
     length_mm: float
-    start: Pose = field(default_factory=Pose.identity)
+    start: Pose = _CLAMP
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "curvature_per_mm", readonly(self.curvature_per_mm, (2,), "curvature_per_mm"))
@@ -117,17 +135,26 @@ class Arc:
 
     def at(self, s_mm: ArrayLike) -> Array:
         """Return points (N, 3) at arc lengths (N,)."""
-        s = np.asarray(s_mm, float)
-        angle = s * float(np.hypot(*self.curvature_per_mm))
-        side = s * s / 2 * np.sinc(angle / (2 * np.pi)) ** 2
-        return self.start.apply(np.stack([*(k * side for k in self.curvature_per_mm), s * np.sinc(angle / np.pi)], -1))
+        return self._arc(s_mm)[0]
 
     def tangent(self, s_mm: ArrayLike) -> Array:
         """Return unit tangents (N, 3) at arc lengths (N,)."""
-        s = np.asarray(s_mm, float)
-        angle = s * float(np.hypot(*self.curvature_per_mm))
-        side = s * np.sinc(angle / np.pi)
-        return self.start.rotate(np.stack([*(k * side for k in self.curvature_per_mm), np.cos(angle)], -1))
+        return self._arc(s_mm)[1]
+
+    def _arc(self, s_mm: ArrayLike) -> tuple[Array, Array]:
+        s = np.array(s_mm, float)
+        points, tangents = (point_kernels.arc if COMPILED else arc)(
+            self.curvature_per_mm, self.start.rotation, self.start.translation_mm, s.ravel()
+        )
+        return points.reshape(*s.shape, 3), tangents.reshape(*s.shape, 3)
+
+
+def arc(curvature: Array, rotation: Array, translation: Array, at: Array) -> tuple[Array, Array]:
+    """Points and unit tangents (N, 3) of `Arc` at arc lengths (N,), from its curvature vector (2,) and its start."""
+    angle = at * float(np.hypot(*curvature))
+    side, slope = at * at / 2 * np.sinc(angle / (2 * np.pi)) ** 2, at * np.sinc(angle / np.pi)
+    points = np.stack([*(k * side for k in curvature), slope], -1) @ rotation.T + translation
+    return points, np.stack([*(k * slope for k in curvature), np.cos(angle)], -1) @ rotation.T
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,8 @@ from typing import overload
 import numpy as np
 
 from tubesight.core import Array
+from tubesight.core.kernels import COMPILED
+from tubesight.geometry import shape_kernels
 from tubesight.geometry.curve import NodeCurve
 from tubesight.geometry.families import Nodes
 
@@ -58,9 +60,8 @@ class Deviations(Sequence[NodeCurve]):
 
     def bounded(self) -> bool:
         """Whether every arc of the curve is longer than its deviation, so that displaced curves have an order."""
-        s, d_s = self.nodes.s_mm, self.nodes.d_s
-        lengths, d = s[1:] - s[:-1], d_s[1:] - d_s[:-1]
-        return bool((((d @ self.covariance) * d).sum(1) < lengths**2).all())
+        check = shape_kernels.bounded if COMPILED else bounded
+        return bool(check(self.nodes.s_mm, self.nodes.d_s, self.covariance))
 
     def __len__(self) -> int:
         return len(self.curves)
@@ -75,3 +76,9 @@ class Deviations(Sequence[NodeCurve]):
     def __getitem__(self, index: int | slice) -> NodeCurve | Sequence[NodeCurve]:
         """Return displaced curves by place."""
         return self.curves[index]
+
+
+def bounded(s: Array, d_s: Array, covariance: Array) -> bool:
+    """Whether all lengths between nodes at s (M,) are larger than their deviation; d_s (M, P) by the parameters."""
+    lengths, d = s[1:] - s[:-1], d_s[1:] - d_s[:-1]
+    return bool((((d @ covariance) * d).sum(1) < lengths**2).all())

@@ -102,6 +102,11 @@ class Nodes:
     d_turn: Array
     d_s: Array
 
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """All but the curvature: points, tangents, arc length, and the three derivatives."""
+        return self.points, self.tangents, self.s_mm, self.d_points, self.d_turn, self.d_s
+
 
 @dataclass(frozen=True, slots=True)
 class Family:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from tubesight.core import Array, readonly
 
@@ -64,6 +63,8 @@ class Pose:
     @classmethod
     def from_rotvec(cls, rotvec_rad: ArrayLike, translation_mm: ArrayLike) -> Pose:
         """Make a pose from a rotation vector (axis times angle, radians) and a translation."""
+        from scipy.spatial.transform import Rotation  # here: importing it takes as long as a first result
+
         return cls(Rotation.from_rotvec(np.asarray(rotvec_rad, float).reshape(3)).as_matrix(), np.ravel(translation_mm))
 
     @property
@@ -77,6 +78,8 @@ class Pose:
     @property
     def rotvec_rad(self) -> Array:
         """Rotation vector (3,), axis times angle."""
+        from scipy.spatial.transform import Rotation
+
         return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec(), dtype=np.float64)
 
     def inverse(self) -> Pose:

@@ -15,7 +15,7 @@ from tubesight.geometry.lens import LENSES
 from tubesight.geometry.pose import Pose
 
 # Least share of information across the rays that there has to be along them: the square of an angle of 1e-6 rad.
-_PARALLEL = 1e-12
+PARALLEL = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +164,7 @@ class Rig:
         across = (np.eye(3) - directions[..., :, None] * directions[..., None, :]) * seen[..., None, None]
         normal = across.sum(0)
         right = np.einsum("cnij,cj->ni", across, centres)
-        usable = (seen.sum(0) >= 2) & (np.linalg.eigvalsh(normal)[:, 0] > _PARALLEL)
+        usable = (seen.sum(0) >= 2) & (np.linalg.eigvalsh(normal)[:, 0] > PARALLEL)
         points = np.full((v.shape[1], 3), np.nan)
         points[usable] = np.linalg.solve(normal[usable], right[usable][..., None])[..., 0]
         for _ in range(3):
@@ -180,6 +180,6 @@ class Rig:
             hessian = np.einsum("cnki,cnkj->nij", rows, rows)
             gradient = np.einsum("cnki,cnk->ni", rows, residual)
             spread = np.linalg.eigvalsh(np.where(usable[:, None, None], hessian, 0.0))
-            usable &= ((z > 0) | ~seen).all(0) & (spread[:, 0] > _PARALLEL * spread[:, 2])
+            usable &= ((z > 0) | ~seen).all(0) & (spread[:, 0] > PARALLEL * spread[:, 2])
             points[usable] -= np.linalg.solve(hessian[usable], gradient[usable][..., None])[..., 0]
         return np.where(usable[:, None], points, np.nan)

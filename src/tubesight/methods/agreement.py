@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tubesight.core import Array, Status, Unmeasurable
+from tubesight.core.kernels import COMPILED
+from tubesight.geometry.camera import Camera
 from tubesight.geometry.cone import place_along
 from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
+from tubesight.methods import agreement_kernels
+from tubesight.methods.rays import lens, optics
 from tubesight.vision.view import View
 
 # Largest distance of the tip rays from each other; a quarter of a tube's width more where the base is only an edge of
@@ -19,6 +26,8 @@ _TIP_GAP_MAX_PX = 4.0
 _BASE_GAP_WIDTHS = 0.5
 # Places of a centreline nearer to the next one than this share of the median step are left out of a spline.
 _NEAR_STEPS = 0.3
+# Places of a curve that are reprojected: its image strays from their polyline by less than 0.01 px.
+_SHARES = np.linspace(0.0, 1.0, 100)
 
 
 def best_pair(views: Mapping[str, View], rig: Rig) -> tuple[str, str]:
@@ -29,7 +38,11 @@ def best_pair(views: Mapping[str, View], rig: Rig) -> tuple[str, str]:
     Unmeasurable
         If there are fewer than two views.
     """
-    names = list(views)
+    return _best_pair(tuple(views), rig)
+
+
+@lru_cache(maxsize=8)
+def _best_pair(names: tuple[str, ...], rig: Rig) -> tuple[str, str]:
     if len(names) < 2:
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail="two views are needed")
     axes = {n: rig.camera_from_base[n].rotation[2] for n in names}
@@ -60,10 +73,9 @@ def triangulate_tip(views: Mapping[str, View], rig: Rig) -> Array:
     Unmeasurable
         If the axes do not meet.
     """
-    rays = {name: (view.tip.axis / view.tip.axis[2])[None] for name, view in views.items()}
-    tip: Array = rig.triangulate(rays)[0]
+    tip = triangulated({name: view.tip.axis / view.tip.axis[2] for name, view in views.items()}, rig)
     for name, view in views.items():
-        off = float(np.linalg.norm(rig.project(name, tip) - view.tip.px))
+        off = math.dist(projected(rig, name, tip).tolist(), view.tip.px.tolist())
         if not off <= _TIP_GAP_MAX_PX:
             raise Unmeasurable(
                 Status.VIEWS_DISAGREE, detail=f"the tip's rays miss each other by {off:.1f} px in {name}"
@@ -71,11 +83,31 @@ def triangulate_tip(views: Mapping[str, View], rig: Rig) -> Array:
     return tip
 
 
+def triangulated(rays: Mapping[str, Array], rig: Rig) -> Array:
+    """Point (3,) nearest to one ray (3,) ``v = (x, y, 1)`` of each camera (`Rig.triangulate`)."""
+    if not COMPILED:
+        return np.asarray(rig.triangulate({name: ray[None] for name, ray in rays.items()})[0])
+    sight = optics(rig, tuple(rays))
+    return agreement_kernels.triangulated(
+        np.stack(list(rays.values())), sight.rotation, sight.translation_mm, sight.focal_px
+    )
+
+
+def projected(rig: Rig, name: str, point_mm: Array) -> Array:
+    """Pixel (2,) of a point (3,) of the base frame (`Rig.project`); NaN where it is not in front of the camera."""
+    known = lens(rig.cameras[name]) if COMPILED else None
+    if known is None:
+        return rig.project(name, point_mm)
+    pose, px = rig.camera_from_base[name], np.empty(2)
+    seen = agreement_kernels.projected(point_mm, pose.rotation, pose.translation_mm, *known, px)
+    return px if seen else np.full(2, np.nan)
+
+
 def base_of(views: Mapping[str, View], rig: Rig) -> Array | None:
     """Triangulate the base (3,) of a free tube from where its start is seen; None where the rays do not meet."""
-    base: Array = rig.triangulate({name: view.base[None] for name, view in views.items()})[0]
+    base = triangulated({name: view.base for name, view in views.items()}, rig)
     for name, view in views.items():
-        off = float(np.linalg.norm(rig.project(name, base) - rig.cameras[name].project(view.base)))
+        off = float(np.linalg.norm(projected(rig, name, base) - rig.cameras[name].project(view.base)))
         if not off <= _BASE_GAP_WIDTHS * float(np.median(view.widths_px)):
             return None
     return base
@@ -83,15 +115,31 @@ def base_of(views: Mapping[str, View], rig: Rig) -> Array | None:
 
 def reprojection_rms_px(curve: Curve3D, views: Mapping[str, View], rig: Rig) -> float:
     """Root mean square distance of the views' centrelines and tips from the reprojected curve, all views, pixels."""
-    points = curve.at(np.linspace(0.0, curve.length_mm, 100))
-    squares = []
+    points = curve.at(_SHARES * curve.length_mm)
+    squares, count = 0.0, 0
     for name, view in views.items():
-        px = rig.project(name, points)
-        if not np.isfinite(px).all():
-            return float("inf")
-        _, off = place_along(px, np.vstack([view.centreline_px, view.tip.px]))
-        squares.append(off**2)
-    return float(np.sqrt(np.mean(np.concatenate(squares))))
+        camera, pose = rig.cameras[name], rig.camera_from_base[name]
+        known = lens(camera) if COMPILED else None
+        if known is None:
+            squares += off_squares(points, pose, camera, view)
+        else:
+            squares += agreement_kernels.off_squares(
+                points, pose.rotation, pose.translation_mm, *known, view.centreline_px, view.tip.px
+            )
+        count += len(view.centreline_px) + 1
+    return math.sqrt(squares / count)
+
+
+def off_squares(points_mm: Array, camera_from_base: Pose, camera: Camera, view: View) -> float:
+    """Sum of squared distances of a view's centreline and tip from a reprojected polyline (N, 3), pixels.
+
+    Infinite where it is not all in front of the camera.
+    """
+    px = camera.project(camera_from_base.apply(points_mm))
+    if not np.isfinite(px).all():
+        return math.inf
+    _, off = place_along(px, np.vstack([view.centreline_px, view.tip.px]))
+    return float(off @ off)
 
 
 def flat_tip(views: Mapping[str, View], rig: Rig, tip_mm: Array, tangent: Array, radius_mm: float) -> Array:

@@ -7,6 +7,7 @@ observed arc in order (equation 10: nearest in depth), and the tip is triangulat
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -49,10 +50,10 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
     """
     pair = best_pair(views, rig)
     tip = triangulate_tip(views, rig)
-    points, weights = curve_points(views[pair[0]], views[pair[1]], rig)
     if tube.clamped:
-        models = _clamped(points, weights, tip)
+        models = _clamped(lambda: curve_points(views[pair[0]], views[pair[1]], rig), tip)
     else:
+        points, weights = curve_points(views[pair[0]], views[pair[1]], rig)
         base = base_of(views, rig)
         points = points if base is None else np.vstack([base, points])
         weights = weights if base is None else np.append(weights.max(), weights)
@@ -122,13 +123,15 @@ def _crossing_weights(arc: Array, place: Array, epipole: Array) -> Array:
     return np.asarray(np.interp(np.nan_to_num(place), along, sine))
 
 
-def _clamped(points: Array, weights: Array, tip: Array) -> list[Callable[[], Curve3D]]:
+def _clamped(points: Callable[[], tuple[Array, Array]], tip: Array) -> list[Callable[[], Curve3D]]:
+    """Models of a tube in its clamp: a line and an arc are known by their tip, only an ellipse needs the points."""
     along = max(float(tip[2]), 1e-9)
-    return [
-        lambda: Arc(np.zeros(2), along),
-        lambda: clamped_arc(tip),
-        lambda: clamped_ellipse(np.vstack([points, tip]), np.append(weights, 3 * weights.max()), tip),
-    ]
+
+    def ellipse() -> Curve3D:
+        places, weights = points()
+        return clamped_ellipse(np.vstack([places, tip]), np.append(weights, 3 * weights.max()), tip)
+
+    return [lambda: Arc(np.zeros(2), along), lambda: clamped_arc(tip), ellipse]
 
 
 def _free(points: Array, weights: Array, tip: Array) -> list[Callable[[], Curve3D]]:
@@ -140,6 +143,10 @@ def _free(points: Array, weights: Array, tip: Array) -> list[Callable[[], Curve3
 
 
 def _simplest(models: list[Callable[[], Curve3D]], views: Mapping[str, View], rig: Rig) -> Curve3D:
+    """Choose the first of the models, from the simplest on, that is nearly as good as the best.
+
+    No later model is made once one explains all, to what an edge is known, and much better than those before it.
+    """
     fits: list[tuple[float, Curve3D]] = []
     for model in models:
         try:
@@ -147,10 +154,13 @@ def _simplest(models: list[Callable[[], Curve3D]], views: Mapping[str, View], ri
         except ValueError:
             continue
         rms = reprojection_rms_px(curve, views, rig)
-        if np.isfinite(rms):
+        if math.isfinite(rms):
+            if rms <= _RMS_FLOOR_PX and all(other > _SIMPLEST_WITHIN * rms for other, _ in fits):
+                return curve
             fits.append((rms, curve))
-    if not fits or min(r for r, _ in fits) > _RMS_MAX_PX:
-        best = f"rms {min(r for r, _ in fits):.1f} px" if fits else "no curve"
-        raise Unmeasurable(Status.NOT_QUADRATIC, detail=f"best line, circle or ellipse: {best}")
-    limit = max(_SIMPLEST_WITHIN * min(r for r, _ in fits), _RMS_FLOOR_PX)
+    best = min((rms for rms, _ in fits), default=math.inf)
+    if best > _RMS_MAX_PX:
+        seen = f"rms {best:.1f} px" if fits else "no curve"
+        raise Unmeasurable(Status.NOT_QUADRATIC, detail=f"best line, circle or ellipse: {seen}")
+    limit = max(_SIMPLEST_WITHIN * best, _RMS_FLOOR_PX)
     return next(curve for rms, curve in fits if rms <= limit)

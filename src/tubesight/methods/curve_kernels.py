@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.core.kernels import compiled
+from tubesight.core.kernels import part
 from tubesight.geometry.families import BASE, BASIS_ENDS, BASIS_TURNS, FINE_SPLINE, INTERVALS, SPLINE
 
 PIECES, ELLIPSE, POLYNOMIAL, SPATIAL = range(4)
@@ -14,7 +14,7 @@ ChainArrays = tuple[Array, Array, Array, Array, Array, Array]
 NodeArrays = tuple[Array, Array, Array, Array, Array, Array, Array]
 
 
-@compiled
+@part
 def empty_chain(count: int) -> ChainArrays:
     """Room for a chain of a family with `count` parameters."""
     m = INTERVALS
@@ -28,7 +28,7 @@ def empty_chain(count: int) -> ChainArrays:
     )
 
 
-@compiled
+@part
 def empty_nodes(count: int) -> NodeArrays:
     """Room for the nodes of a curve of a family with `count` parameters."""
     m, size = INTERVALS + 1, count + BASE
@@ -43,7 +43,7 @@ def empty_nodes(count: int) -> NodeArrays:
     )
 
 
-@compiled
+@part
 def ellipse_chain(p: Array, chain: ChainArrays) -> None:
     """Twin of `tubesight.geometry.families.ellipse_chain`."""
     turns, lengths, curvature, skew, d_turns, d_lengths = chain
@@ -87,7 +87,7 @@ def ellipse_chain(p: Array, chain: ChainArrays) -> None:
     lean(curvature, lengths, skew)
 
 
-@compiled
+@part
 def lean(curvature: Array, lengths: Array, skew: Array) -> None:
     """Lean of the chords where curvature changes evenly over each arc."""
     for i in range(len(lengths)):
@@ -95,7 +95,7 @@ def lean(curvature: Array, lengths: Array, skew: Array) -> None:
             skew[i, k] = -(curvature[i + 1, k] - curvature[i, k]) * lengths[i] / 12
 
 
-@compiled
+@part
 def pieces_chain(p: Array, chain: ChainArrays) -> None:
     """Twin of `tubesight.geometry.families.pieces_chain`."""
     turns, lengths, curvature, _, d_turns, d_lengths = chain
@@ -123,7 +123,7 @@ def pieces_chain(p: Array, chain: ChainArrays) -> None:
     curvature[0, 0], curvature[0, 1] = curvature[1, 0], curvature[1, 1]
 
 
-@compiled
+@part
 def polynomial_chain(kind: int, p: Array, chain: ChainArrays) -> None:
     """Twin of `tubesight.geometry.families.polynomial_chain` and, by its kind, of `spatial_chain`."""
     turns, lengths, curvature, skew, d_turns, d_lengths = chain
@@ -158,7 +158,7 @@ def polynomial_chain(kind: int, p: Array, chain: ChainArrays) -> None:
     lean(curvature, lengths, skew)
 
 
-@compiled
+@part
 def turn_by(x: float, y: float) -> tuple[float, float, float]:
     """``sin(t) / t``, ``(1 - cos(t)) / t^2`` and ``cos(t)`` of the angle t of a bend vector."""
     half = np.sqrt(x * x + y * y) / 2
@@ -168,7 +168,7 @@ def turn_by(x: float, y: float) -> tuple[float, float, float]:
     return s * c / half, s * s / (2 * half * half), 1 - 2 * s * s
 
 
-@compiled
+@part
 def turn_frame(frame: Array, x: float, y: float, a: float, b: float, cos: float) -> None:
     """Multiply a frame by the rotation that turns +z towards (x, y) without twist; a, b, cos from `turn_by`."""
     for i in range(3):
@@ -179,7 +179,7 @@ def turn_frame(frame: Array, x: float, y: float, a: float, b: float, cos: float)
         frame[i, 2] = a * across + cos * w
 
 
-@compiled
+@part
 def nodes_of(
     kind: int,
     count: int,
@@ -225,7 +225,7 @@ def nodes_of(
         carry(i, count, across, points, lengths, d_turns, d_lengths, d_points, d_turn, d_s)
 
 
-@compiled
+@part
 def carry(
     i: int,
     count: int,

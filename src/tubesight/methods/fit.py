@@ -45,6 +45,8 @@ class Fit:
         (N, P) of the distances, without shifts.
     rms_px
         Root mean square of the edges of the tube.
+    tip_off_px
+        Median distance of the edges of the tip from the model, in the worst view.
     """
 
     family: Family
@@ -54,6 +56,7 @@ class Fit:
     weight: Array
     jacobian: Array
     rms_px: float
+    tip_off_px: float
 
 
 def fit_family(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from tubesight.core import Array
-from tubesight.core.kernels import compiled
+from tubesight.core import Array, sealed
+from tubesight.core.kernels import compiled, part
 from tubesight.geometry.families import INTERVALS, Family, Nodes
-from tubesight.methods.curve_kernels import NodeArrays, empty_chain, empty_nodes
+from tubesight.methods.curve_kernels import NodeArrays, empty_chain, empty_nodes, nodes_of
 from tubesight.methods.kernels import (
     factor,
+    median_size,
     mixed_with_shifts,
     normal_equations,
     rms,
@@ -21,33 +22,53 @@ from tubesight.methods.kernels import (
     without_shifts,
 )
 from tubesight.methods.rays import BIAS_PX, ROWS, Problem
-from tubesight.methods.solve import BLOCK_MM, CONVERGED_MM, DAMPING, NUISANCES, SHORTEST, SLOW
+from tubesight.methods.solve import (
+    BLOCK_MM,
+    CIRCLE,
+    CONVERGED_MM,
+    DAMPING,
+    LAST_MM,
+    LINEAR_MM,
+    NUISANCES,
+    REWEIGHTED,
+    SHORTEST,
+    SLOW,
+)
 
 
 def fit(
     problem: Problem, family: Family, p: Array, prior: Array, anchor: Array, worth_px: float, steps: int
-) -> tuple[Array, Nodes, Array, Array, Array, float]:
+) -> tuple[Array, Nodes, Array, Array, Array, float, float]:
     """Twin of `tubesight.methods.solve.fit`."""
-    p, nodes, residual, weight, jacobian, root = levenberg_marquardt(
+    p, nodes, residual, weight, jacobian, root, off = levenberg_marquardt(
         problem, family.kind, family.count, p.copy(), prior, anchor, worth_px, steps
     )
-    return p, Nodes(*nodes), residual, weight, jacobian, root
+    points, tangents, curvature, s, *derivatives = nodes
+    return (
+        p,
+        Nodes(sealed(points), sealed(tangents), curvature, sealed(s), *derivatives),
+        residual,
+        weight,
+        jacobian,
+        root,
+        off,
+    )
 
 
 @compiled
 def levenberg_marquardt(
     problem: Problem, kind: int, count: int, p: Array, prior: Array, anchor: Array, worth_px: float, steps: int
-) -> tuple[Array, NodeArrays, Array, Array, Array, float]:
+) -> tuple[Array, NodeArrays, Array, Array, Array, float, float]:
     """Loop of `fit`, which overwrites `p`; each step is tried in a second set of arrays."""
     n, size = len(problem.place), len(p)
     chain = empty_chain(count)
     nodes, other_nodes = empty_nodes(count), empty_nodes(count)
-    miss, other_miss, residual, other_residual = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    miss, other_miss, residual = np.empty(n), np.empty(n), np.empty(n)
     jacobian, other_jacobian = np.empty((n, size)), np.empty((n, size))
     end, other_end = np.empty(size), np.empty(size)
     a, weight = np.empty(n), np.empty(n)
     factors = np.empty((len(problem.focal_px), NUISANCES, NUISANCES))
-    hessian, gradient = np.empty((size, size)), np.empty(size)
+    hessian, gradient, trial = np.empty((size, size)), np.empty(size), np.empty(size)
     near, there = np.empty(n, np.int64), np.empty(n, np.int64)
     for i in range(n):
         near[i] = int(problem.place[i] * INTERVALS + 0.5)
@@ -55,63 +76,136 @@ def levenberg_marquardt(
     weights(problem, miss, weight)
     damping = DAMPING
     for _ in range(steps):
-        shift_factors(problem, weight, a, factors)
-        cost = without_shifts(problem, miss, a, factors, residual) + end_off * end_off + pull(anchor, p)
-        for q in range(size):
-            gradient[q] = end[q] * end_off + anchor[q] * p[q]
-            for r in range(size):
-                hessian[q, r] = end[q] * end[r]
-            hessian[q, q] += prior[q]
-        normal_equations(problem, jacobian, residual, a, factors, hessian, gradient)
         better = False
+        cost, last = reweighted(
+            problem, p, prior, anchor, weight, miss, jacobian, end, end_off, nodes, damping, worth_px, count,
+            a, factors, residual, hessian, gradient, trial, other_miss,
+        )  # fmt: skip
+        if last:
+            p[:] = trial
+            miss, other_miss = other_miss, miss
+            nodes_of(kind, count, p, problem.start_rotation, problem.start_mm, chain, nodes)
+            break
         for _ in range(8):
-            trial = stepped(p, hessian, gradient, damping, count)
             if trial[count - 1] > SHORTEST * p[count - 1]:
-                for i in range(n):
-                    there[i] = near[i]
+                there[:] = near
                 trial_end = try_step(
                     problem, kind, count, trial, chain, other_nodes, there, other_miss, other_jacobian, other_end
                 )
-                trial_cost = without_shifts(problem, other_miss, a, factors, other_residual)
+                trial_cost = without_shifts(problem, other_miss, a, factors, residual)
                 trial_cost += trial_end * trial_end + pull(anchor, trial)
                 if trial_cost <= cost * (1 + 1e-9):
                     better = True
                     break
             damping *= 6.0
+            stepped(p, hessian, gradient, damping, count, trial)
         if not better:
             break
-        moved = movement(nodes, other_nodes)
         end_off, damping = trial_end, max(damping / 10, 1e-9)
-        for q in range(size):
-            p[q], end[q] = trial[q], other_end[q]
-        for i in range(n):
-            near[i], miss[i] = there[i], other_miss[i]
-            for q in range(size):
-                jacobian[i, q] = other_jacobian[i, q]
-        keep(other_nodes, nodes)
-        weights(problem, other_residual, weight)
-        if moved < CONVERGED_MM or (trial_cost > SLOW * cost and rms(problem, other_residual) > worth_px):
+        p[:] = trial
+        near[:] = there
+        nodes, other_nodes = other_nodes, nodes
+        miss, other_miss = other_miss, miss
+        jacobian, other_jacobian = other_jacobian, jacobian
+        end, other_end = other_end, end
+        weights(problem, residual, weight)
+        if trial_cost > SLOW * cost and rms(problem, residual) > worth_px:
             break
     shift_factors(problem, weight, a, factors)
     without_shifts(problem, miss, a, factors, residual)
-    return p, nodes, residual, weight, jacobian, rms(problem, residual)
+    return p, nodes, residual, weight, jacobian, rms(problem, residual), tip_off(problem, residual)
 
 
-@compiled
-def keep(there: NodeArrays, nodes: NodeArrays) -> None:
-    """Copy a curve that was tried over the current one."""
-    size = nodes[6].shape[1]
-    for i in range(INTERVALS + 1):
-        nodes[3][i] = there[3][i]
-        for q in range(size):
-            nodes[6][i, q] = there[6][i, q]
-        for c in range(3):
-            nodes[0][i, c], nodes[1][i, c], nodes[2][i, c] = there[0][i, c], there[1][i, c], there[2][i, c]
-            for q in range(size):
-                nodes[4][i, c, q], nodes[5][i, c, q] = there[4][i, c, q], there[5][i, c, q]
+@part
+def reweighted(
+    problem: Problem,
+    p: Array,
+    prior: Array,
+    anchor: Array,
+    weight: Array,
+    miss: Array,
+    jacobian: Array,
+    end: Array,
+    end_off: float,
+    nodes: NodeArrays,
+    damping: float,
+    worth_px: float,
+    count: int,
+    a: Array,
+    factors: Array,
+    residual: Array,
+    hessian: Array,
+    gradient: Array,
+    trial: Array,
+    ahead_miss: Array,
+) -> tuple[float, bool]:
+    """Twin of `tubesight.methods.solve.reweighted`, written into what follows `count`; returns cost and `last`."""
+    last_mm = LAST_MM if count == CIRCLE else CONVERGED_MM
+    earlier, cost, last = np.inf, 0.0, False
+    for again in range(REWEIGHTED + 1):
+        cost = equations(
+            problem, p, prior, anchor, weight, miss, jacobian, end, end_off, a, factors, residual, hessian, gradient
+        )
+        stepped(p, hessian, gradient, damping, count, trial)
+        moved = movement(nodes, p, trial)
+        if not moved < LINEAR_MM:
+            break
+        end_ahead = ahead(miss, jacobian, end, end_off, p, trial, ahead_miss)
+        ahead_cost = without_shifts(problem, ahead_miss, a, factors, residual)
+        ahead_cost += end_ahead * end_ahead + pull(anchor, trial)
+        settled = moved < CONVERGED_MM or abs(moved - earlier) < CONVERGED_MM
+        hopeless = ahead_cost > SLOW * cost and rms(problem, residual) > worth_px
+        last = hopeless or (settled and moved < last_mm)
+        if hopeless or settled or again == REWEIGHTED:
+            break
+        weights(problem, residual, weight)
+        earlier = moved
+    return cost, last
 
 
-@compiled
+@part
+def equations(
+    problem: Problem,
+    p: Array,
+    prior: Array,
+    anchor: Array,
+    weight: Array,
+    miss: Array,
+    jacobian: Array,
+    end: Array,
+    end_off: float,
+    a: Array,
+    factors: Array,
+    residual: Array,
+    hessian: Array,
+    gradient: Array,
+) -> float:
+    """Write the normal equations of a step with all that is known, `a`, `factors` and `residual`; return the cost."""
+    shift_factors(problem, weight, a, factors)
+    cost = without_shifts(problem, miss, a, factors, residual) + end_off * end_off + pull(anchor, p)
+    for q in range(len(p)):
+        gradient[q] = end[q] * end_off + anchor[q] * p[q]
+        for r in range(len(p)):
+            hessian[q, r] = end[q] * end[r]
+        hessian[q, q] += prior[q]
+    normal_equations(problem, jacobian, residual, a, factors, hessian, gradient)
+    return cost
+
+
+@part
+def ahead(miss: Array, jacobian: Array, end: Array, end_off: float, p: Array, trial: Array, moved_miss: Array) -> float:
+    """Misses after a short step, written into `moved_miss`; returns the miss of a flat end."""
+    for i in range(len(miss)):
+        total = miss[i]
+        for q in range(len(p)):
+            total += jacobian[i, q] * (trial[q] - p[q])
+        moved_miss[i] = total
+    for q in range(len(p)):
+        end_off += end[q] * (trial[q] - p[q])
+    return end_off
+
+
+@part
 def pull(anchor: Array, p: Array) -> float:
     """Cost of parameters that are expected to be 0."""
     cost = 0.0
@@ -120,19 +214,33 @@ def pull(anchor: Array, p: Array) -> float:
     return cost
 
 
-@compiled
-def movement(nodes: NodeArrays, there: NodeArrays) -> float:
-    """Twin of `tubesight.methods.solve.movement`."""
+@part
+def movement(nodes: NodeArrays, p: Array, trial: Array) -> float:
+    """Twin of `tubesight.methods.solve.movement`, of the step from `p` to `trial`."""
+    tangents, d_points = nodes[1], nodes[4]
     largest = 0.0
     for i in range(INTERVALS + 1):
         along, square = 0.0, 0.0
         for c in range(3):
-            off = there[0][i, c] - nodes[0][i, c]
-            along += off * nodes[1][i, c]
+            off = 0.0
+            for q in range(d_points.shape[2]):
+                off += d_points[i, c, q] * (trial[q] - p[q])
+            along += off * tangents[i, c]
             square += off * off
         square -= along * along if i < INTERVALS else 0.0
         largest = square if square > largest else largest
     return np.sqrt(largest)  # type: ignore[no-any-return]
+
+
+@part
+def tip_off(problem: Problem, residual: Array) -> float:
+    """Twin of `tubesight.methods.solve.tip_off`."""
+    most = 0.0
+    for view in range(len(problem.focal_px)):
+        low, high = problem.row_start[ROWS * view + ROWS - 1], problem.row_start[ROWS * view + ROWS]
+        if high > low:
+            most = max(most, median_size(residual, low, high))
+    return most
 
 
 @compiled
@@ -181,7 +289,7 @@ def sandwich(
     return covariance
 
 
-@compiled
+@part
 def gradients(
     problem: Problem,
     jacobian: Array,
@@ -220,7 +328,7 @@ def gradients(
     return blocks
 
 
-@compiled
+@part
 def add_square(vector: Array, factor_: float, matrix: Array) -> None:
     """Add a vector's outer product with itself to a matrix."""
     for q in range(len(vector)):

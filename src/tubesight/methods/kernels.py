@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.core.kernels import compiled
+from tubesight.core.kernels import part
 from tubesight.geometry.families import INTERVALS
 from tubesight.methods.curve_kernels import ChainArrays, NodeArrays, nodes_of
 from tubesight.methods.rays import BIAS_PX, ROWS, Indices, Problem
@@ -20,7 +20,7 @@ from tubesight.methods.solve import (
 )
 
 
-@compiled
+@part
 def misses(problem: Problem, nodes: NodeArrays, p: Array, near: Indices, miss: Array, jacobian: Array) -> None:
     """Twin of `tubesight.methods.solve.misses`; writes `miss`, `jacobian` and the nearest nodes into `near`."""
     points, tangents, curvature, s, d_points, _, _ = nodes
@@ -72,7 +72,7 @@ def misses(problem: Problem, nodes: NodeArrays, p: Array, near: Indices, miss: A
                 jacobian[i, size] = 0.0 if ball else -to_px
 
 
-@compiled
+@part
 def descend(points: Array, cx: float, cy: float, cz: float, dx: float, dy: float, dz: float, near: int) -> int:
     """Nearest node of a ray from (cx, cy, cz) along (dx, dy, dz), by walking downhill from a node."""
     last = len(points) - 1
@@ -95,7 +95,7 @@ def descend(points: Array, cx: float, cy: float, cz: float, dx: float, dy: float
     return best
 
 
-@compiled
+@part
 def end_miss(problem: Problem, nodes: NodeArrays, jacobian: Array) -> float:
     """Twin of `tubesight.methods.solve.end_miss`; writes the derivatives into `jacobian`."""
     for q in range(len(jacobian)):
@@ -111,7 +111,7 @@ def end_miss(problem: Problem, nodes: NodeArrays, jacobian: Array) -> float:
     return miss
 
 
-@compiled
+@part
 def median_size(values: Array, low: int, high: int) -> float:
     """Median of the absolute values from `low` to before `high`, by sorting them into place."""
     count = high - low
@@ -125,7 +125,7 @@ def median_size(values: Array, low: int, high: int) -> float:
     return (ordered[(count - 1) // 2] + ordered[count // 2]) / 2  # type: ignore[no-any-return]
 
 
-@compiled
+@part
 def weights(problem: Problem, residual: Array, weight: Array) -> None:
     """Twin of `tubesight.methods.solve.weights`, written into `weight`."""
     for row in range(len(problem.row_sd_px)):
@@ -143,7 +143,7 @@ def weights(problem: Problem, residual: Array, weight: Array) -> None:
                 weight[i] = left * left if not left < 0 else 0.0
 
 
-@compiled
+@part
 def factor(matrix: Array) -> None:
     """Cholesky factor of a positive definite matrix in its lower triangle, in place; NaN where it is none."""
     n = len(matrix)
@@ -156,7 +156,7 @@ def factor(matrix: Array) -> None:
             matrix[i, j] /= root
 
 
-@compiled
+@part
 def substitute(lower: Array, right: Array) -> None:
     """Solve ``L L^T X = B`` for the columns of B (n, K), in place."""
     n, columns = right.shape
@@ -174,7 +174,7 @@ def substitute(lower: Array, right: Array) -> None:
             right[i, q] /= lower[i, i]
 
 
-@compiled
+@part
 def shift_factors(problem: Problem, weight: Array, a: Array, factors: Array) -> None:
     """Precisions `a` of the rays from their weights, and factors (V, K, K) of the normal equations of the shifts."""
     factors[:] = 0.0
@@ -199,7 +199,7 @@ def shift_factors(problem: Problem, weight: Array, a: Array, factors: Array) -> 
         factor(factors[view])
 
 
-@compiled
+@part
 def without_shifts(problem: Problem, miss: Array, a: Array, factors: Array, residual: Array) -> float:
     """Twin of `tubesight.methods.solve.without_shifts`, written into `residual`."""
     views = len(problem.focal_px)
@@ -223,7 +223,7 @@ def without_shifts(problem: Problem, miss: Array, a: Array, factors: Array, resi
     return cost
 
 
-@compiled
+@part
 def mixed_with_shifts(problem: Problem, jacobian: Array, a: Array, mixed: Array) -> None:
     """Write the mixed part (V, K, P) of the normal equations of shifts and parameters into `mixed`."""
     size = jacobian.shape[1]
@@ -240,7 +240,7 @@ def mixed_with_shifts(problem: Problem, jacobian: Array, a: Array, mixed: Array)
                 two[q] += v * x
 
 
-@compiled
+@part
 def normal_equations(
     problem: Problem, jacobian: Array, residual: Array, a: Array, factors: Array, hessian: Array, gradient: Array
 ) -> None:
@@ -264,7 +264,7 @@ def normal_equations(
                     hessian[q, r] -= mixed[view, k, q] * solved[k, r]
 
 
-@compiled
+@part
 def rms(problem: Problem, residual: Array) -> float:
     """Twin of `tubesight.methods.solve.rms`."""
     total, most = 0.0, 0.0
@@ -279,7 +279,7 @@ def rms(problem: Problem, residual: Array) -> float:
     return np.sqrt(total / most)  # type: ignore[no-any-return]
 
 
-@compiled
+@part
 def try_step(
     problem: Problem,
     kind: int,
@@ -298,18 +298,17 @@ def try_step(
     return end_miss(problem, nodes, end)
 
 
-@compiled
-def stepped(p: Array, hessian: Array, gradient: Array, damping: float, count: int) -> Array:
-    """Parameters (P,) after a Levenberg-Marquardt step, cut to `STEP_MAX`."""
+@part
+def stepped(p: Array, hessian: Array, gradient: Array, damping: float, count: int, trial: Array) -> None:
+    """Write the parameters (P,) after a Levenberg-Marquardt step, cut to `STEP_MAX`, into `trial`."""
     lower, step = hessian.copy(), np.empty((len(gradient), 1))
     for q in range(len(lower)):
         lower[q, q] *= 1 + damping
         step[q, 0] = gradient[q]
     factor(lower)
     substitute(lower, step)
-    longest, trial = 1e-9, np.empty(len(p))
+    longest = 1e-9
     for q in range(count - 1):
         longest = max(longest, abs(step[q, 0]))
     for q in range(len(p)):
         trial[q] = p[q] - step[q, 0] * min(1.0, STEP_MAX / longest)
-    return trial

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.core.kernels import compiled
+from tubesight.core.kernels import compiled, part
 
 # Steps of Newton's method, and residual on the image plane at which it ends, as in `tubesight.geometry.lens`.
 _STEPS, _TOLERANCE = 20, 1e-14
@@ -84,9 +84,13 @@ def meeting_point(directions: Array, centres: Array, focal_px: Array) -> tuple[A
     return point, worst
 
 
-@compiled
-def solve_three(a: Array, b: Array, x: Array) -> None:
-    """Solve a symmetric system of three equations by Cramer's rule into `x`."""
+@part
+def solve_three(a: Array, b: Array, x: Array) -> float:
+    """Solve a symmetric system of three equations by Cramer's rule into `x`.
+
+    Returns the determinant over the sum of its second-order minors: the least eigenvalue, where that is far below the
+    others, and never more than it.
+    """
     c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
     c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
     c02 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
@@ -96,50 +100,70 @@ def solve_three(a: Array, b: Array, x: Array) -> None:
     x[0] = (c00 * b[0] + c01 * b[1] + c02 * b[2]) / determinant
     x[1] = (c01 * b[0] + c11 * b[1] + c12 * b[2]) / determinant
     x[2] = (c02 * b[0] + c12 * b[1] + c22 * b[2]) / determinant
+    return determinant / (c00 + c11 + c22)  # type: ignore[no-any-return]
 
 
 @compiled
-def rows_of_view(
+def gather(
     edge_rays: Array,
     centreline_px: Array,
     tip_px: Array,
     contour_px: Array,
-    contour_rays: Array,
+    matrix: Array,
+    k: Array,
     rotation: Array,
     most: int,
-) -> tuple[Array, Array, Array]:
-    """Twin of `tubesight.methods.rays.rows_of_view`."""
-    scans, contour = len(edge_rays), len(contour_px)
-    count = min(scans, most)
-    size = 2 * count + contour
-    direction, place, lobes = np.empty((size, 3)), np.empty(size), np.empty((size, 2))
-    chord = np.empty(scans + 1)
+    tip_most: int,
+    direction: Array,
+    place: Array,
+    lobes: Array,
+) -> bool:
+    """Twin of `tubesight.methods.rays.rows_of_view` with the choice of contour points, written into the last three.
+
+    False where a number is not finite or a point of the contour cannot be undistorted here.
+    """
+    scans = len(edge_rays)
+    count, contour = min(scans, most), min(len(contour_px), tip_most)
+    chord, total = np.empty(scans + 1), 0.0
     chord[0] = 0.0
     for i in range(scans):
         there = centreline_px[i + 1] if i + 1 < scans else tip_px
         x, y = there[0] - centreline_px[i, 0], there[1] - centreline_px[i, 1]
         chord[i + 1] = chord[i] + np.sqrt(x * x + y * y)
     for j in range(count):
-        i = j if scans <= most else int(j * ((scans - 1) / (most - 1)) + 0.5)
+        i = evenly(j, scans, most)
         share = chord[i] / chord[scans]
-        for k in range(2):
-            at = k * count + j
+        for side in range(2):
+            at = side * count + j
             place[at], lobes[at, 0], lobes[at, 1] = share, 1.0, 2 * share - 1
-            for c in range(3):
-                direction[at, c] = 0.0
-                for r in range(3):
-                    direction[at, c] += edge_rays[i, k, r] * rotation[r, c]
+            turn_back(edge_rays[i, side, 0], edge_rays[i, side, 1], edge_rays[i, side, 2], rotation, direction[at])
+    used, rays = np.empty((contour, 2)), np.empty((contour, 3))
+    for j in range(contour):
+        used[j] = contour_px[evenly(j, len(contour_px), tip_most)]
+    rays = undistorted(used, matrix, k)
     for j in range(contour):
         at = 2 * count + j
         place[at] = 1.0
-        x, y = contour_px[j, 0] - tip_px[0], contour_px[j, 1] - tip_px[1]
-        size_px = np.sqrt(x * x + y * y)
-        lobes[at, 0], lobes[at, 1] = x / size_px, y / size_px
-        square = 0.0
-        for r in range(3):
-            square += contour_rays[j, r] * contour_rays[j, r]
-        for c in range(3):
-            direction[at, c] = 0.0
-            for r in range(3):
-                direction[at, c] += contour_rays[j, r] * rotation[r, c] / np.sqrt(square)
-    return direction, place, lobes
+        x, y = used[j, 0] - tip_px[0], used[j, 1] - tip_px[1]
+        size = np.sqrt(x * x + y * y)
+        lobes[at, 0], lobes[at, 1] = x / size, y / size
+        size = np.sqrt(rays[j, 0] * rays[j, 0] + rays[j, 1] * rays[j, 1] + 1.0)
+        turn_back(rays[j, 0] / size, rays[j, 1] / size, 1.0 / size, rotation, direction[at])
+    for at in range(len(place)):
+        total += place[at] + lobes[at, 0] + lobes[at, 1] + direction[at, 0] + direction[at, 1] + direction[at, 2]
+    return np.isfinite(total)  # type: ignore[no-any-return]
+
+
+@part
+def evenly(j: int, count: int, most: int) -> int:
+    """Place j of those chosen by `tubesight.methods.rays.spread`."""
+    if count <= most:
+        return j
+    return int(j * ((count - 1) / (most - 1)) + 0.5)
+
+
+@part
+def turn_back(x: float, y: float, z: float, rotation: Array, direction: Array) -> None:
+    """Write the direction in the base frame of a camera's ray; the rotation is ``camera_from_base``."""
+    for c in range(3):
+        direction[c] = x * rotation[0, c] + y * rotation[1, c] + z * rotation[2, c]

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tubesight.core import Array, Status, Tube, Unmeasurable
+from tubesight.core import Array, Status, Tube, Unmeasurable, sealed
 from tubesight.core.kernels import COMPILED
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.pose import Pose
@@ -30,6 +30,8 @@ _EDGE_PX = 0.06
 # Edges of a row that are used, evenly spread. The errors of a photograph's edges hang together along the tube: with all
 # 90 of them the errors of tip and angles on 75 photographs with known truth were the same or larger.
 _ROW_MAX, _TIP_MAX = 24, 16
+# End of a curve whose end nobody knows.
+_NOWHERE = sealed(np.full(3, np.nan))
 
 
 class Problem(NamedTuple):
@@ -108,66 +110,90 @@ def collect(
     Unmeasurable
         If a view holds a number that is not finite.
     """
-    rows: list[tuple[Array, Array, Array]] = []
-    deviations: list[tuple[float, float]] = []
-    counts = [0]
     sight = optics(rig, tuple(views))
-    for rotation, (name, view) in zip(sight.rotation, views.items(), strict=True):
-        tip = view.tip
-        contour = _used_contour(view, tube)
-        rows.append(
-            (ray_kernels.rows_of_view if COMPILED else rows_of_view)(
-                _plain(view.edge_rays),
-                _plain(view.centreline_px),
-                _plain(tip.px),
-                _plain(contour),
-                unprojected(rig.cameras[name], contour),
-                rotation,
-                _ROW_MAX,
-            )
-        )
-        count = min(len(view.edges_px), _ROW_MAX)
-        counts += [count, count, len(contour)]
-        deviations += _deviations(view)
-    direction, place, lobes = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-    row_sd, lobe_sd = np.array(deviations).T.copy()
-    if not math.isfinite(direction.sum() + place.sum() + lobes.sum() + row_sd.sum() + lobe_sd.sum()):
+    seen = _gathered(views, rig, tube, sight)
+    if seen is None:
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail="an edge of a view is not a finite number")
     return Problem(
-        direction,
-        place,
-        lobes,
-        np.array(counts).cumsum(),
-        row_sd,
-        lobe_sd,
+        *seen,
         sight.centre_mm,
         sight.focal_px,
         tip_axes(views, sight.rotation),
-        np.array(start.rotation),
-        np.array(start.translation_mm),
+        start.rotation,
+        start.translation_mm,
         radius_mm,
         np.nan if tip_radius_mm is None else tip_radius_mm,
         tube.diameter_mm is None,
         tube.clamped,
-        np.full(3, np.nan) if end_mm is None else np.array(end_mm),
+        _NOWHERE if end_mm is None else sealed(np.array(end_mm)),
     )
 
 
-def _deviations(view: View) -> list[tuple[float, float]]:
-    """Deviation of the edges of each row of a view, and of the whole row, in pixels."""
-    left, right = view.edge_sd_px.tolist()
-    rough, doubt = (left, right, view.tip.rms_px), (*view.edge_doubt_px.tolist(), view.tip.doubt_px)
-    row_sd = [math.hypot(_EDGE_PX, r) for r in (left, right, max(view.tip.rms_px, (left + right) / 2))]
-    lobe_sd = [math.hypot(_ROW_PX, d + _ROW_SHARE * r) for d, r in zip(doubt, rough, strict=True)]
-    return list(zip(row_sd, lobe_sd, strict=True))
+def _gathered(
+    views: Mapping[str, View], rig: Rig, tube: Tube, sight: Optics
+) -> tuple[Array, Array, Array, Indices, Array, Array] | None:
+    """Rows of all views: the first fields of `Problem`; None where a number is not finite."""
+    counts = [0]
+    for view in views.values():
+        sides = min(len(view.edges_px), _ROW_MAX)
+        counts += [sides, sides, min(len(view.tip.contour_px), _tip_most(tube))]
+    row_start = np.array(counts).cumsum()
+    n, rows = int(row_start[-1]), len(row_start) - 1
+    direction, place, lobes = np.empty((n, 3)), np.empty(n), np.empty((n, 2))
+    row_sd, lobe_sd = np.empty(rows), np.empty(rows)
+    finite = True
+    for k, (name, view) in enumerate(views.items()):
+        tip = view.tip
+        known = lens(rig.cameras[name]) if COMPILED else None
+        at = slice(row_start[ROWS * k], row_start[ROWS * k + ROWS])
+        row = slice(ROWS * k, ROWS * k + ROWS)
+        row_sd[row], lobe_sd[row] = deviations(view.edge_sd_px, tip.rms_px, view.edge_doubt_px, tip.doubt_px)
+        gathered = known is not None and ray_kernels.gather(
+            view.edge_rays,
+            view.centreline_px,
+            tip.px,
+            tip.contour_px,
+            *known,
+            sight.rotation[k],
+            _ROW_MAX,
+            _tip_most(tube),
+            direction[at],
+            place[at],
+            lobes[at],
+        )
+        if not gathered:
+            contour = _used_contour(view, tube)
+            direction[at], place[at], lobes[at] = rows_of_view(
+                view.edge_rays,
+                view.centreline_px,
+                tip.px,
+                contour,
+                rig.cameras[name].unproject(contour),
+                sight.rotation[k],
+                _ROW_MAX,
+            )
+            finite = finite and bool(np.isfinite(direction[at].sum() + place[at].sum() + lobes[at].sum()))
+    finite = finite and math.isfinite(row_sd.sum() + lobe_sd.sum())
+    return (direction, place, lobes, row_start, row_sd, lobe_sd) if finite else None
+
+
+def deviations(
+    edge_sd_px: Array, tip_rms_px: float, edge_doubt_px: Array, tip_doubt_px: float
+) -> tuple[list[float], list[float]]:
+    """Deviation of the edges of each row of a view (3,), and of the whole row (3,), in pixels."""
+    left, right = edge_sd_px.tolist()
+    rough, doubt = (left, right, tip_rms_px), (*edge_doubt_px.tolist(), tip_doubt_px)
+    row_sd = [math.hypot(_EDGE_PX, r) for r in (left, right, max(tip_rms_px, (left + right) / 2))]
+    return row_sd, [math.hypot(_ROW_PX, d + _ROW_SHARE * r) for d, r in zip(doubt, rough, strict=True)]
 
 
 class Optics(NamedTuple):
-    """What does not change from frame to frame: centres (V, 3), focal lengths (V,), rotations (V, 3, 3)."""
+    """What does not change from frame to frame: centres (V, 3) and focal lengths (V,); poses ``camera_from_base``."""
 
     centre_mm: Array
     focal_px: Array
     rotation: Array
+    translation_mm: Array
 
 
 @lru_cache(maxsize=8)
@@ -178,6 +204,7 @@ def optics(rig: Rig, names: tuple[str, ...]) -> Optics:
         np.stack([centre_of(pose) for pose in poses]),
         np.array([rig.cameras[name].focal_px for name in names]),
         np.stack([pose.rotation for pose in poses]),
+        np.stack([pose.translation_mm for pose in poses]),
     )
 
 
@@ -193,19 +220,22 @@ def centre_of(camera_from_base: Pose) -> Array:
 
 def unprojected(camera: Camera, pixels: Array) -> Array:
     """Camera rays (N, 3) of pixels (N, 2): compiled for the usual lenses, `Camera.unproject` where that fails."""
-    if COMPILED and camera.lens in ("brown", "rational"):
-        rays = ray_kernels.undistorted(_plain(pixels), *_lens(camera))
+    known = lens(camera) if COMPILED else None
+    if known is not None:
+        rays = ray_kernels.undistorted(_plain(pixels), *known)
         if math.isfinite(rays.sum()):
             return rays
     return camera.unproject(pixels)
 
 
 @lru_cache(maxsize=64)
-def _lens(camera: Camera) -> tuple[Array, Array]:
-    """Matrix (3, 3) and coefficients (8,) of a camera with a brown or rational lens."""
+def lens(camera: Camera) -> tuple[Array, Array] | None:
+    """Matrix (3, 3) and coefficients (8,) of a camera as compiled code takes them; None of an equidistant lens."""
+    if camera.lens not in ("brown", "rational"):
+        return None
     k = np.zeros(8)
     k[: len(camera.distortion)] = camera.distortion
-    return _plain(camera.matrix), k
+    return camera.matrix, sealed(k)
 
 
 def _plain(values: Array) -> Array:
@@ -226,7 +256,11 @@ def used_pixels(view: View, tube: Tube) -> Array:
 def _used_contour(view: View, tube: Tube) -> Array:
     """Pixels (K, 2) of the tip's contour that are used; none of a flat end."""
     contour = view.tip.contour_px
-    return contour[spread(len(contour), _TIP_MAX if tube.tip.shape != "flat" else 0)]
+    return contour[spread(len(contour), _tip_most(tube))]
+
+
+def _tip_most(tube: Tube) -> int:
+    return _TIP_MAX if tube.tip.shape != "flat" else 0
 
 
 def spread(count: int, most: int) -> Indices:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import cast
 
 import numpy as np
 
@@ -101,7 +100,7 @@ class Silhouette:
             chosen = fit_family(problem, chosen.family, chosen.parameters)
         if not chosen.rms_px <= max(_RMS_MAX_PX, _RMS_MAX_SD * _roughness_px(problem)):
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")
-        if not _reaches_tip(chosen, problem):
+        if not chosen.tip_off_px < _TIP_OFF_PX:
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="no curve along the edges ends in the tip")
         return _with_deviations(problem, chosen, why, views, rig, tube)
 
@@ -266,7 +265,7 @@ def _why(chosen: Fit, fits: Mapping[str, Fit]) -> str:
 def _best_of(fits: Mapping[str, Fit], problem: Problem) -> tuple[float, list[Fit]]:
     """Least rms of the fits that may be true, and those fits."""
     plausible = [fit for fit in fits.values() if _is_tube(fit, problem.radius_mm)] or list(fits.values())
-    plausible = [fit for fit in plausible if _reaches_tip(fit, problem)] or plausible
+    plausible = [fit for fit in plausible if fit.tip_off_px < _TIP_OFF_PX] or plausible
     return min(fit.rms_px for fit in plausible), plausible
 
 
@@ -289,13 +288,6 @@ def _roughness_px(problem: Problem) -> float:
     """Median deviation of the rows of the tube's edges, pixels."""
     sides = problem.row_sd_px.reshape(-1, ROWS)[:, : ROWS - 1]
     return float(np.median(sides))
-
-
-def _reaches_tip(fit: Fit, problem: Problem) -> bool:
-    """Whether the curve ends where the contours of the tip want it, in every view."""
-    start = problem.row_start
-    rows = [np.abs(fit.residual_px[start[k] : start[k + 1]]) for k in range(ROWS - 1, len(start) - 1, ROWS)]
-    return all(len(row) == 0 or float(np.median(row)) < _TIP_OFF_PX for row in rows)
 
 
 def _guess(name: str, fits: dict[str, Fit]) -> Array:
@@ -329,5 +321,5 @@ def _with_deviations(
     if not picture.bounded():
         raise Unmeasurable(Status.NEAR_DEGENERATE, detail="the pictures leave the length of the curve open")
     calibration = Deviations(fit.family.name, fit.nodes, from_rig) if rig.covariance is not None else ()
-    displaced = cast(tuple[tuple[NodeCurve, ...], tuple[NodeCurve, ...]], (picture, calibration))
-    return NodeCurve(fit.family.name, fit.nodes.s_mm, fit.nodes.points, fit.nodes.tangents, *displaced, note=why)
+    curves = picture, calibration
+    return NodeCurve(fit.family.name, fit.nodes.s_mm, fit.nodes.points, fit.nodes.tangents, *curves, note=why)

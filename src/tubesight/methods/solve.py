@@ -8,10 +8,12 @@ normal equations of p with their Schur complement.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.geometry.families import INTERVALS, Family, Nodes, nodes_of
+from tubesight.geometry.families import BASE, INTERVALS, Family, Nodes, nodes_of
 from tubesight.methods.rays import BIAS_PX, ROWS, Indices, Problem
 
 # Shifts of a view: of all edges, and two lobes of each row.
@@ -25,6 +27,13 @@ RMS_CAP_PX = 3.0
 ITERATIONS = 30
 # Movement of the curve under which the fit has converged: a tenth of what the best pictures tell.
 CONVERGED_MM = 2e-3
+# Movement up to which misses are linear: it bends a tube's normal by a hundredth, so that they are off by 0.005 mm.
+LINEAR_MM = 0.5
+# Length up to which a step of a circle, told by its number of parameters, can be the last: on photographs such steps
+# leave 2 % of themselves, here a third of `CONVERGED_MM`. Ratios of axes and shares of pieces are not that linear.
+CIRCLE, LAST_MM = 3, 0.03
+# How often weights follow before the curve is measured again: each time they change a third as much.
+REWEIGHTED = 2
 # A step that leaves more than this share of the cost shows how far a family can come.
 SLOW = 0.7
 # Scale of a row over which a fit is rough: outliers are not known yet, and it is the model that errs, by about a pixel
@@ -188,17 +197,54 @@ def rms(problem: Problem, residual: Array) -> float:
     return float(np.sqrt((inverse * np.minimum(np.abs(residual), RMS_CAP_PX) ** 2).sum() / inverse.sum()))
 
 
-def movement(nodes: Nodes, there: Nodes) -> float:
-    """Measure how far a curve has moved at most: across itself, or at its end in any way."""
-    off = there.points - nodes.points
+def tip_off(problem: Problem, residual: Array) -> float:
+    """Largest median distance of the edges of a tip from the model, of all views; 0 without such edges."""
+    start = problem.row_start
+    tips = [np.abs(residual[start[k] : start[k + 1]]) for k in range(ROWS - 1, len(start) - 1, ROWS)]
+    return max(float(np.median(row)) if len(row) else 0.0 for row in tips)
+
+
+def movement(nodes: Nodes, step: Array) -> float:
+    """Measure how far a short step (P,) of the parameters moves a curve: across itself, or at its end in any way."""
+    off = nodes.d_points @ step[: nodes.d_points.shape[2]]
     off[:-1] -= (off * nodes.tangents).sum(1, keepdims=True)[:-1] * nodes.tangents[:-1]
     return float(np.sqrt((off * off).sum(1).max()))
 
 
+class Look(NamedTuple):
+    """A curve as `misses` and `end_miss` see it."""
+
+    nodes: Nodes
+    miss: Array
+    jacobian: Array
+    near: Indices
+    end: float
+    end_jacobian: Array
+
+
+class Step(NamedTuple):
+    """A step from `p` to `trial`, with what it was found by.
+
+    `last` tells that no measurement is needed after it: `ahead` are the misses then.
+    """
+
+    weight: Array
+    a: Array
+    cost: float
+    hessian: Array
+    gradient: Array
+    trial: Array
+    ahead: Array
+    last: bool
+
+
 def fit(
     problem: Problem, family: Family, p: Array, prior: Array, anchor: Array, worth_px: float, steps: int
-) -> tuple[Array, Nodes, Array, Array, Array, float]:
+) -> tuple[Array, Nodes, Array, Array, Array, float, float]:
     """Levenberg-Marquardt steps with robust weights.
+
+    Over a short step (`LINEAR_MM`) misses change linearly: weights follow them before the curve is measured again, and
+    the last step needs no measurement.
 
     Parameters
     ----------
@@ -213,43 +259,89 @@ def fit(
 
     Returns
     -------
-    p, nodes, residual, weight, jacobian, rms
+    p, nodes, residual, weight, jacobian, rms, tip_off
     """
-
-    def look(p: Array, near: Indices) -> tuple[Nodes, Array, Array, Indices, float, Array]:
-        nodes = nodes_of(family, p[: family.count + 4], problem.start)
-        return (nodes, *misses(problem, nodes, p, near), *end_miss(problem, nodes, len(p)))
-
-    state = look(p, np.floor(problem.place * INTERVALS + 0.5).astype(np.int64))
-    weight = weights(problem, state[1])
+    count = family.count
+    here = look(problem, family, p, np.floor(problem.place * INTERVALS + 0.5).astype(np.int64))
+    weight = weights(problem, here.miss)
     damping = DAMPING
     for _ in range(steps):
-        nodes, miss, jacobian, near, end, end_jacobian = state
-        a = precision(problem, weight)
-        residual, cost = without_shifts(problem, miss, a)
-        cost += end**2 + float(anchor @ p**2)
-        hessian, gradient = normal_equations(problem, jacobian, residual, a)
-        hessian += np.outer(end_jacobian, end_jacobian) + np.diag(prior)
-        gradient += end_jacobian * end + anchor * p
+        step = reweighted(problem, here, p, prior, anchor, weight, damping, worth_px, count)
+        weight, trial = step.weight, step.trial
+        if step.last:
+            p = trial
+            here = here._replace(nodes=nodes_of(family, p[: count + BASE], problem.start), miss=step.ahead)
+            break
         for _ in range(8):
-            move = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
-            trial = p - move * min(1.0, STEP_MAX / max(float(np.abs(move[: family.count - 1]).max()), 1e-9))
-            if trial[family.count - 1] > SHORTEST * p[family.count - 1]:
-                tried = look(trial, near)
-                trial_residual, trial_cost = without_shifts(problem, tried[1], a)
-                trial_cost += tried[4] ** 2 + float(anchor @ trial**2)
-                if trial_cost <= cost * (1 + 1e-9):
+            if trial[count - 1] > SHORTEST * p[count - 1]:
+                there = look(problem, family, trial, here.near)
+                residual, cost = cost_of(problem, trial, anchor, there.miss, there.end, step.a)
+                if cost <= step.cost * (1 + 1e-9):
                     break
             damping *= 6.0
+            trial = stepped(p, step.hessian, step.gradient, damping, count)
         else:
             break
-        moved = movement(nodes, tried[0])
-        p, state, residual, damping = trial, tried, trial_residual, max(damping / 10, 1e-9)
+        p, here, damping = trial, there, max(damping / 10, 1e-9)
         weight = weights(problem, residual)
-        if moved < CONVERGED_MM or (trial_cost > SLOW * cost and rms(problem, residual) > worth_px):
+        if cost > SLOW * step.cost and rms(problem, residual) > worth_px:
             break
-    residual, _ = without_shifts(problem, state[1], precision(problem, weight))
-    return p, state[0], residual, weight, state[2], rms(problem, residual)
+    residual, _ = without_shifts(problem, here.miss, precision(problem, weight))
+    return p, here.nodes, residual, weight, here.jacobian, rms(problem, residual), tip_off(problem, residual)
+
+
+def reweighted(
+    problem: Problem,
+    here: Look,
+    p: Array,
+    prior: Array,
+    anchor: Array,
+    weight: Array,
+    damping: float,
+    worth_px: float,
+    count: int,
+) -> Step:
+    """Step from `p`, with weights that have followed it where it is short."""
+    last_mm = LAST_MM if count == CIRCLE else CONVERGED_MM
+    earlier = np.inf
+    for again in range(REWEIGHTED + 1):
+        a = precision(problem, weight)
+        residual, cost = cost_of(problem, p, anchor, here.miss, here.end, a)
+        hessian, gradient = normal_equations(problem, here.jacobian, residual, a)
+        hessian += np.outer(here.end_jacobian, here.end_jacobian) + np.diag(prior)
+        gradient += here.end_jacobian * here.end + anchor * p
+        trial = stepped(p, hessian, gradient, damping, count)
+        ahead = here.miss + here.jacobian @ (trial - p)
+        step = Step(weight, a, cost, hessian, gradient, trial, ahead, False)
+        moved = movement(here.nodes, trial - p)
+        if not moved < LINEAR_MM:
+            return step
+        end = here.end + float(here.end_jacobian @ (trial - p))
+        residual, ahead_cost = cost_of(problem, trial, anchor, ahead, end, a)
+        settled = moved < CONVERGED_MM or abs(moved - earlier) < CONVERGED_MM
+        hopeless = ahead_cost > SLOW * cost and rms(problem, residual) > worth_px
+        if hopeless or settled or again == REWEIGHTED:
+            break
+        weight, earlier = weights(problem, residual), moved
+    return step._replace(last=hopeless or (settled and moved < last_mm))
+
+
+def look(problem: Problem, family: Family, p: Array, near: Indices) -> Look:
+    """Look at the curve of parameters `p` (P,)."""
+    nodes = nodes_of(family, p[: family.count + BASE], problem.start)
+    return Look(nodes, *misses(problem, nodes, p, near), *end_miss(problem, nodes, len(p)))
+
+
+def cost_of(problem: Problem, p: Array, anchor: Array, miss: Array, end: float, a: Array) -> tuple[Array, float]:
+    """Residuals (N,) without shifts, and the cost with that of the end and of the parameters."""
+    residual, cost = without_shifts(problem, miss, a)
+    return residual, cost + end**2 + float(anchor @ p**2)
+
+
+def stepped(p: Array, hessian: Array, gradient: Array, damping: float, count: int) -> Array:
+    """Parameters (P,) after a Levenberg-Marquardt step, cut to `STEP_MAX`."""
+    move = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), gradient)
+    return np.asarray(p - move * min(1.0, STEP_MAX / max(float(np.abs(move[: count - 1]).max()), 1e-9)))
 
 
 def reduced_equations(

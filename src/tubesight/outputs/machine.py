@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import platform
+from pathlib import Path
 
 import cv2
 import numpy
@@ -21,3 +23,18 @@ def machine() -> dict[str, str | int]:
         "scipy": scipy.__version__,
         "opencv": cv2.__version__,
     }
+
+
+def resident_mb() -> float:
+    """Resident memory of this process, megabytes; where that is not told the largest so far, or NaN."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except (OSError, AttributeError):
+        pass
+    try:
+        import resource
+    except ImportError:  # Windows
+        return math.nan
+    # Kilobytes, but bytes on macOS.
+    unit = 1e6 if platform.system() == "Darwin" else 1e3
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit

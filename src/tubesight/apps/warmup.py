@@ -1,0 +1,83 @@
+"""``tubesight warmup``: compile and keep what a first result needs, before it is needed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tubesight.core import FramePair, Image, Tip, Tube
+from tubesight.sensor import ShapeSensor
+from tubesight.simulate import Arc, render_pair, rig_around
+
+Progress = Callable[[str, int, int], None]
+
+# Compiled code does not depend on the size of pictures: small ones are rendered soonest.
+_SIZE_PX = (960, 540)
+# One tube for each kind of tip, since each kind has code of its own.
+_TUBES = (
+    Tube(12.0, Tip("ball", 16.0), clamped=True),
+    Tube(12.0, Tip("round"), clamped=True),
+    Tube(12.0, Tip("flat"), clamped=True),
+)
+_METHODS = ("silhouette", "cone_ray")
+
+
+@dataclass(frozen=True, slots=True)
+class Warmed:
+    """Something that was run once.
+
+    Attributes
+    ----------
+    name
+        What: the tip, the kind of picture and the method.
+    seconds
+        How long that took; a fraction of a second where its code was there already.
+    ok
+        Whether it gave a shape.
+    """
+
+    name: str
+    seconds: float
+    ok: bool
+
+
+def warm_up(progress: Progress | None = None) -> tuple[Warmed, ...]:
+    """Measure one simulated pair with each kind of tip, of picture and of method.
+
+    Parameters
+    ----------
+    progress
+        Called before each with its name, the number done and their total, and once at the end.
+    """
+    rig = rig_around(90.0, size_px=_SIZE_PX)
+    work = [(tube, kind, method) for tube in _TUBES for kind in _PICTURES for method in _METHODS]
+    done = []
+    for k, (tube, kind, method) in enumerate(work):
+        name = f"{tube.tip.shape} tip, {kind}, {method}"
+        if progress is not None:
+            progress(name, k, len(work))
+        pair = render_pair(rig, Arc(np.radians(40.0), 1.0, 160.0), tube)
+        pair = FramePair({camera: _PICTURES[kind](image) for camera, image in pair.images.items()}, pair.name)
+        start = time.perf_counter()
+        ok = bool(ShapeSensor(rig, tube, method)(pair))
+        done.append(Warmed(name, time.perf_counter() - start, ok))
+    if progress is not None:
+        progress("ready", len(work), len(work))
+    return tuple(done)
+
+
+def _gray(image: Image) -> Image:
+    return image if image.ndim == 2 else np.ascontiguousarray(image[..., 1])
+
+
+def _luma(image: Image) -> Image:
+    """Y plane of a buffer of YUYV, which is not contiguous."""
+    buffer = np.empty((*image.shape[:2], 2), np.uint8)
+    buffer[..., 0] = _gray(image)
+    return buffer[..., 0]
+
+
+_PICTURES: dict[str, Callable[[Image], Image]] = {"colour": lambda image: image, "gray": _gray, "YUYV": _luma}
