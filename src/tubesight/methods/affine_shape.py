@@ -2,14 +2,14 @@
 
 Samples ``x_ij = (x, y, 1)`` of the curve in picture i show one point j in space, if there are depths l_ij with which
 the matrix of all ``l_ij x_ij`` has rank four. Neither depths nor samples are known. They are found in turn: the row
-space V of the best matrix of rank four; the depths of each picture that bring its rows nearest to V, a linear problem;
-and samples that slide along their image curves towards what rank four predicts. So far no camera is known. The known
+space V of the best matrix of rank four; samples that slide along their image curves until they leave it least; the
+depths of each picture that bring its rows nearest to V, a linear problem. So far no camera is known. The known
 cameras then give the points in space, each as near to the tangents of its image curves as to nothing else, and a spline
 smooths them.
 
-Reconstructed here: the depths change little from turn to turn (a proximal step), starting from those of an affine
-camera, since the pictures of a planar curve, as most of our tubes are, have rank three and leave them open; both ends
-correspond; lenses are undistorted.
+Reconstructed here: samples slide by a few sines, all at once (Gauss-Newton with the row space eliminated), since one by
+one they hardly move; a planar curve, as most of our tubes are, has rank three and is tried with that; the depths
+change little from turn to turn, starting from those of an affine camera; both ends correspond; lenses are undistorted.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
 
 from tubesight.core import Array, Status, Tube, Unmeasurable
 from tubesight.geometry.curve import Curve3D
@@ -30,10 +31,15 @@ from tubesight.vision.view import View
 # Two pictures match in any way that maps ends to ends: the third one decides.
 _VIEWS_MIN = 3
 # Samples of the curve, places that its image splines are made of, and turns.
-_SAMPLES, _PLACES, _TURNS = 41, 161, 80
-_RANK = 4
-# How much of the step that rank four proposes a sample slides, and the most, as a share of the curve.
-_SLIDE, _SLIDE_MAX = 0.7, 0.02
+_SAMPLES, _PLACES, _TURNS = 41, 161, 3
+# Samples slide by so many sines along each curve, at most so many steps a turn, and no farther than rank four asks for:
+# a slide by a tenth of the curve costs as much as a sample off by a thousandth of its size.
+_MODES, _NFEV, _STILL = 5, 12, 0.01
+# A curve is planar where rank three leaves this part of its size, which is what centrelines are known to, or no more
+# than so many times what rank four leaves.
+_FLAT, _FLATTER = 0.002, 2.0
+# How far a sample slides in one step towards its point in space, as a share of the curve.
+_SLIDE_MAX = 0.02
 # Depths are held to the last ones by this, relative to the scatter of the samples.
 _PROXIMAL = 0.05
 # Deviations of a point in a picture across its curve, and along it, where it is only as good as the correspondence.
@@ -85,27 +91,46 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
 def correspond(curves: list[_ImageCurve]) -> Array:
     """Places (I, N) of the same N points on I image curves, from the curves alone.
 
-    Those on the first curve are equally spaced; the first and last of all are its ends.
+    Those on the first curve are equally spaced; the first and last of all are its ends. A planar curve has rank three,
+    and only then that rank is enough.
     """
+    (flat_misfit, flat), (misfit, places) = (_of_rank(curves, rank) for rank in (3, 4))
+    return flat if flat_misfit < max(_FLAT, _FLATTER * misfit) else places
+
+
+def _of_rank(curves: list[_ImageCurve], rank: int) -> tuple[float, Array]:
+    """Slide the samples, then update the depths, in turn; the misfit that is left, and the places (I, N)."""
+    t = np.linspace(0.0, 1.0, _SAMPLES)
+    modes = np.sin(np.pi * np.outer(np.arange(1, _MODES + 1), t))
     normal = [_normalisation(curve) for curve in curves]
-    u = np.tile(np.linspace(0.0, 1.0, _SAMPLES), (len(curves), 1))
-    depth = np.ones_like(u)
+    depth = np.ones((len(curves), _SAMPLES))
+    slides = np.zeros((len(curves) - 1) * _MODES)
+
+    def places(slides: Array) -> Array:
+        moved = t + slides.reshape(-1, _MODES) @ modes
+        return np.asarray(np.clip(np.vstack([t, np.maximum.accumulate(moved, axis=1)]), 0.0, 1.0))
+
+    def samples(slides: Array) -> Array:
+        points = [(c.at(u) - m) / size for c, u, (m, size) in zip(curves, places(slides), normal, strict=True)]
+        return np.concatenate([points, np.ones((len(curves), _SAMPLES, 1))], -1)
+
+    def outside(slides: Array, depth: Array) -> Array:
+        rows, space = _row_space(samples(slides), depth, rank)
+        return np.concatenate([(rows - rows @ space.T @ space).ravel(), _STILL * slides])
+
     for _ in range(_TURNS):
-        x = np.stack(
-            [
-                np.column_stack([(c.at(v) - middle) / size, np.ones(_SAMPLES)])
-                for c, v, (middle, size) in zip(curves, u, normal, strict=True)
-            ]
-        )
-        weighted = depth[..., None] * x
-        rows = weighted.transpose(0, 2, 1).reshape(-1, _SAMPLES)
-        space = np.linalg.svd(rows, full_matrices=False)[2][:_RANK]
+        slides = least_squares(outside, slides, args=(depth,), max_nfev=_NFEV).x
+        x = samples(slides)
+        _, space = _row_space(x, depth, rank)
         depth = np.stack([_depths(own, before, space) for own, before in zip(x, depth, strict=True)])
-        predicted = (rows @ space.T @ space).reshape(len(curves), 3, _SAMPLES)
-        for i in range(1, len(curves)):
-            off = predicted[i, :2].T / predicted[i, 2][:, None] - x[i, :, :2]
-            u[i] = _slid(u[i], off, curves[i].way(u[i]) / normal[i][1])
-    return u
+    left = outside(slides, depth)[: -len(slides)]
+    return float(np.sqrt(np.mean(left**2))), places(slides)
+
+
+def _row_space(x: Array, depth: Array, rank: int) -> tuple[Array, Array]:
+    """Matrix (3 I, N) of the depth-weighted samples (I, N, 3), and the row space (rank, N) that fits it best."""
+    rows = (depth[..., None] * x).transpose(0, 2, 1).reshape(-1, x.shape[1])
+    return rows, np.linalg.svd(rows, full_matrices=False)[2][:rank]
 
 
 def _normalisation(curve: _ImageCurve) -> tuple[Array, float]:
@@ -123,14 +148,6 @@ def _depths(x: Array, before: Array, space: Array) -> Array:
     weight = _PROXIMAL * np.trace(q) / len(x)
     depth = np.linalg.solve(q + weight * np.eye(len(x)), weight * before)
     return np.asarray(depth / depth.mean())
-
-
-def _slid(u: Array, off: Array, way: Array) -> Array:
-    """Places (N,) slid along their curve towards predicted points; the ends stay, and so does the order."""
-    by = (off * way).sum(1) / np.maximum((way * way).sum(1), 1e-12)
-    moved = u + _SLIDE * np.clip(by, -_SLIDE_MAX, _SLIDE_MAX)
-    moved[[0, -1]] = 0.0, 1.0
-    return np.asarray(np.maximum.accumulate(np.clip(moved, 0.0, 1.0)))
 
 
 def _in_space(curves: Mapping[str, _ImageCurve], places: Mapping[str, Array], rig: Rig) -> Array:
