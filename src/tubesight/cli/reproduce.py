@@ -24,7 +24,7 @@ def command(
     """Repeat the figures and tables of Dalvand, Nahavandi and Howe (2016) on rendered photographs.
 
     Writes a report, the data and a summary. Studies: figure2, figure3, figure4, experiment1, experiment2, table1,
-    timing, viewing_angle, sensitivity, uncertainty.
+    timing, viewing_angle, sensitivity.
 
         tubesight reproduce experiment1 --quick -o reproduced
     """
