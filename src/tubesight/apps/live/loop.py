@@ -20,6 +20,7 @@ from tubesight.core import InputError
 from tubesight.outputs.publish import Subscriber
 from tubesight.sensor import ShapeSensor
 from tubesight.simulate import render_pair
+from tubesight.sources.jpeg import to_gray
 from tubesight.sources.live import LiveCameras
 from tubesight.sources.simulated import SIM_TUBE, sim_phantom
 from tubesight.tracking.pairing import PairingRule
@@ -144,12 +145,16 @@ def _refuse_dead(watched: Mapping[str, Watched], seconds: float) -> None:
 
 
 def warm_up(sensor: ShapeSensor) -> None:
-    """Measure a simulated tube, so that everything is compiled and loaded before the first camera runs."""
+    """Measure a simulated tube, so that everything is compiled and loaded before the first camera runs.
+
+    In colour and in gray: code is compiled for each kind of picture apart.
+    """
     tube = sensor.tube if sensor.tube.diameter_mm is not None else SIM_TUBE
     with suppress(ValueError):
         pair = render_pair(sensor.rig, sim_phantom(0), tube, name="warm-up")
-        for _ in range(2):
-            sensor(pair)
+        for images in (pair.images, {name: to_gray(image) for name, image in pair.images.items()}):
+            for _ in range(2):
+                sensor(replace(pair, images=images))
 
 
 @contextmanager
