@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from http_cameras import jpeg
-from live_scenes import SIZE, picture, small_rig
+from live_scenes import SIZE, picture, small_rig, wanted
 from tubesight.apps.live.export import FORMATS, export
 from tubesight.apps.live.recover import recover
 from tubesight.apps.live.replay import replay, replay_file, sensor_of
@@ -39,6 +39,7 @@ from tubesight.outputs.mcap_file import McapFile
 from tubesight.outputs.publish import Mailbox
 from tubesight.outputs.recorder import Recorder
 from tubesight.sensor import ShapeSensor
+from tubesight.sources.opening import open_source
 from tubesight.sources.simulated import SIM_TUBE
 from tubesight.tracking.pairing import Matched
 from tubesight.tracking.tracker import Tracked, Tracker
@@ -332,6 +333,20 @@ def test_a_ros_bag_holds_standard_messages_in_metres(recorded: Path, tmp_path: P
     chord = (curve[-1] - curve[-2]) / np.linalg.norm(curve[-1] - curve[-2])
     assert along == pytest.approx(chord, abs=1e-6)
     assert "storage_identifier: mcap" in (tmp_path / "bag" / "metadata.yaml").read_text()
+
+
+def test_a_recording_is_a_source_of_pictures(recorded: Path, session: list[Tracked], tmp_path: Path) -> None:
+    source = open_source(str(recorded), wanted("right"))
+    reader, got = source.open(), []
+    while (one := reader.read()) is not None:
+        got.append(one)
+    reader.close()
+    assert not source.live and all(np.array_equal(p.image, picture("right", k)) for k, p in enumerate(got))
+    # The right camera's pictures were taken 1 ms after the left one's; times in the file are whole nanoseconds.
+    assert [p.time_s for p in got] == pytest.approx([0.001 + k / 30 for k in range(PAIRS)], abs=2e-9)
+    record(tmp_path / "none.mcap", session, "none")
+    with pytest.raises(InputError, match="holds no pictures"):
+        open_source(str(tmp_path / "none.mcap"), wanted("right"))
 
 
 def test_a_mailbox_keeps_the_newest_and_never_blocks(session: list[Tracked]) -> None:

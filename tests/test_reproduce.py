@@ -267,8 +267,10 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Experiments of two tubes at few orientations, with a perfect calibration."""
     for module in (experiment, sensitivity):
         monkeypatch.setattr(module, "calibrated", perfect)
-    monkeypatch.setattr(experiment1, "_BENDING_DEG", (30,))
-    monkeypatch.setattr(experiment1, "_ORIENTATIONS_DEG", (60,))
+    # Coarse pictures are drawn faster.
+    monkeypatch.setattr("tubesight.apps.reproduce.study._DPI", 40)
+    monkeypatch.setattr(experiment1, "BENDING_DEG", (30,))
+    monkeypatch.setattr(experiment1, "ORIENTATIONS_DEG", (60,))
     monkeypatch.setattr(experiment2, "_BENDING_DEG", (70,))
     monkeypatch.setattr(experiment2, "_QUICK_STEP_DEG", 180)
     yield

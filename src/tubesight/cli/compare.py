@@ -25,7 +25,13 @@ def command(
         bool, typer.Option("--external", help="Compare icpReconstructor too, in a process of its own.")
     ] = False,
     external_python: Annotated[
-        str, typer.Option("--external-python", metavar="PYTHON", help="Interpreter that has icpReconstructor.")
+        str,
+        typer.Option(
+            "--external-python",
+            metavar="PYTHON",
+            help="Interpreter that has icpReconstructor.",
+            show_default="this one",
+        ),
     ] = sys.executable,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone.")] = False,
 ) -> None:

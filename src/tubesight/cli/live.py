@@ -15,6 +15,7 @@ from tubesight.cli.live_options import (
     BaseOption,
     EveryOption,
     GrayOption,
+    IgtlOption,
     OffsetOption,
     PicturesOption,
     RigOption,
@@ -23,6 +24,9 @@ from tubesight.cli.live_options import (
     SourceOption,
     ToleranceOption,
     TubeOption,
+    UdpOption,
+    ViewOption,
+    WebsocketOption,
     offsets_of,
     pictures_of,
     size_of,
@@ -32,6 +36,8 @@ from tubesight.cli.places import places_of
 
 if TYPE_CHECKING:
     from tubesight.apps.live.loop import Moment
+    from tubesight.apps.live.options import LiveOptions
+    from tubesight.apps.live.publishing import PublishOptions
     from tubesight.apps.live.stats import Figures
     from tubesight.tracking.tracker import Tracked
 
@@ -56,18 +62,10 @@ def command(
     record: Annotated[Path | None, typer.Option("--record", help="Record into this file, `.mcap`.")] = None,
     pictures: PicturesOption = "lossless",
     every: EveryOption = 1,
-    igtl: Annotated[
-        str | None, typer.Option("--igtl", metavar="[HOST:]PORT", help="Serve results by OpenIGTLink (18944).")
-    ] = None,
-    websocket: Annotated[
-        str | None, typer.Option("--websocket", metavar="[HOST:]PORT", help="Serve results as JSON (8765).")
-    ] = None,
-    udp: Annotated[
-        str | None, typer.Option("--udp", metavar="[HOST:]PORT", help="Send results as JSON datagrams (8766).")
-    ] = None,
-    view: Annotated[
-        int | None, typer.Option("--view", metavar="PORT", help="Show everything in the browser (8080).", min=0)
-    ] = None,
+    igtl: IgtlOption = None,
+    websocket: WebsocketOption = None,
+    udp: UdpOption = None,
+    view: ViewOption = None,
     stats: Annotated[bool, typer.Option("--stats", help="Print a line of figures every second.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone, at the end.")] = False,
 ) -> None:
@@ -81,10 +79,7 @@ def command(
 
         tubesight live --source left=sim: --source right=sim: --view 8080 --igtl 18944 --websocket 8765
     """
-    from tubesight.apps.live.options import LiveOptions, RecordOptions, set_up
-    from tubesight.apps.live.publishing import Place, PublishOptions, open_subscribers
-    from tubesight.apps.live.session import run_session
-    from tubesight.cli.console import remark
+    from tubesight.apps.live.options import LiveOptions, RecordOptions
     from tubesight.cli.run import refuse_unknown
     from tubesight.sensor import DEFAULT_METHOD
 
@@ -106,12 +101,26 @@ def command(
         filtered=filtered,
         record=RecordOptions(record, pictures_of(pictures), every) if record is not None else None,
     )
-    publishing = PublishOptions(
+    _run(options, _publishing(igtl, websocket, udp, view), stats, json)
+
+
+def _publishing(igtl: str | None, websocket: str | None, udp: str | None, view: int | None) -> PublishOptions:
+    from tubesight.apps.live.publishing import Place, PublishOptions
+
+    return PublishOptions(
         igtl=Place.of(igtl) if igtl is not None else None,
         websocket=Place.of(websocket) if websocket is not None else None,
         udp=Place.of(udp) if udp is not None else None,
         view_port=view,
     )
+
+
+def _run(options: LiveOptions, publishing: PublishOptions, stats: bool, json: bool) -> None:
+    from tubesight.apps.live.options import set_up
+    from tubesight.apps.live.publishing import open_subscribers
+    from tubesight.apps.live.session import run_session
+    from tubesight.cli.console import remark
+
     setup = set_up(options)
     subscribers, addresses = open_subscribers(publishing, setup)
     remark([*setup.messages, *addresses])

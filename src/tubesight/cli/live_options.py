@@ -51,6 +51,18 @@ PicturesOption = Annotated[
         help="Pictures to record: `lossless` (as the camera coded them, else pixels), `jpeg`, `crop` or `none`.",
     ),
 ]
+IgtlOption = Annotated[
+    str | None, typer.Option("--igtl", metavar="[HOST:]PORT", help="Serve results by OpenIGTLink (18944).")
+]
+WebsocketOption = Annotated[
+    str | None, typer.Option("--websocket", metavar="[HOST:]PORT", help="Serve results as JSON (8765).")
+]
+UdpOption = Annotated[
+    str | None, typer.Option("--udp", metavar="[HOST:]PORT", help="Send results as JSON datagrams (8766).")
+]
+ViewOption = Annotated[
+    int | None, typer.Option("--view", metavar="PORT", help="Show everything in the browser (8080).", min=0)
+]
 EveryOption = Annotated[int, typer.Option("--every", min=1, help="Record the pictures of every n-th pair.")]
 
 

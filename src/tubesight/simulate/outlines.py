@@ -66,10 +66,10 @@ def radii_mm(tube: Tube) -> tuple[float, float]:
     Raises
     ------
     ValueError
-        If the diameter is not known, or the end is flat: its outline is no circle.
+        If the diameter is not known or changes, or the outline of the end is no circle.
     """
-    if tube.diameter_mm is None or tube.tip.shape == "flat":
-        raise ValueError(f"outlines need a known diameter and a ball or round tip, got {tube}")
+    if tube.diameter_mm is None or tube.tapered or not tube.tip.rounded:
+        raise ValueError(f"outlines need one known diameter and a ball or round tip, got {tube}")
     return tube.diameter_mm / 2, (tube.tip.diameter_mm or tube.diameter_mm) / 2
 
 

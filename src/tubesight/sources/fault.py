@@ -146,7 +146,7 @@ class _FaultReader:
                 self._ready.append(shown)
             if "delay" in kinds:
                 time.sleep(_DELAY_S * self._faults.share())
-            self._last = picture if "freeze" not in kinds else self._last or picture
+            self._last = shown
             return shown
 
     def _spoil(self, picture: Picture, kinds: set[str]) -> Picture:
@@ -169,7 +169,7 @@ class _FaultReader:
         try:
             return replace(picture, image=decode_picture(data, self._name, self._gray), coded=data)
         except BrokenPictureError:
-            self._last = picture
+            self._last = replace(picture, coded=data)
             raise
 
     def close(self) -> None:

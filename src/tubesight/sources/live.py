@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from tubesight.core import Frame, InputError
-from tubesight.sources.integrity import Wholeness, wholeness
+from tubesight.core import Frame, Image, InputError
+from tubesight.sources.integrity import BUFFERS, Wholeness, sampled, wholeness
 from tubesight.sources.reader import BrokenPictureError, Picture, Reader, Source
 from tubesight.tracking.pairing import Matched, PairingRule, Refusal, Waiting, offer
 from tubesight.tracking.watch import Watched, arrived, failed
@@ -173,7 +173,9 @@ class _Camera:
     def __init__(self, name: str, source: Source, owner: LiveCameras) -> None:
         self._name, self._source, self._owner = name, source, owner
         self._number = 0
-        self._before: Picture | None = None
+        self._before = b""
+        self._rows: deque[Image] = deque(maxlen=BUFFERS)
+        self._whole: tuple[Image, ...] = ()
         self._started_s = math.nan
 
     def run(self) -> None:
@@ -218,8 +220,6 @@ class _Camera:
         if not self._source.live:
             time_s = self._in_time(time_s)
         state = self._state(picture)
-        if state is Wholeness.NEW:
-            self._before = picture
         if picture.skipped:
             self._number += picture.skipped
             self._owner._skipped(self._name, picture.skipped)
@@ -235,9 +235,15 @@ class _Camera:
         return due
 
     def _state(self, picture: Picture) -> Wholeness:
-        before = self._before
-        if before is None:
+        if picture.coded:
+            before, self._before = self._before, picture.coded
+            return Wholeness.REPEATED if picture.coded == before else Wholeness.NEW
+        if not self._source.raw:
             return Wholeness.NEW
-        if picture.coded or before.coded:
-            return Wholeness.REPEATED if picture.coded == before.coded else Wholeness.NEW
-        return wholeness(picture.image, before.image) if self._source.raw else Wholeness.NEW
+        rows = sampled(picture.image)
+        state = wholeness(rows, (*self._rows, *self._whole))
+        if state is not Wholeness.REPEATED:
+            self._rows.append(rows)
+        if state is Wholeness.NEW:
+            self._whole = (rows,)
+        return state

@@ -8,6 +8,7 @@ from importlib.metadata import entry_points
 from tubesight.core import InputError
 from tubesight.sources.fault import fault_source
 from tubesight.sources.reader import Source, Wanted, existing
+from tubesight.sources.recorded import recording_source
 from tubesight.sources.simulated import sim_source
 from tubesight.sources.stills import folder_source
 from tubesight.sources.stream import http_source
@@ -55,6 +56,8 @@ def open_source(text: str, wanted: Wanted) -> Source:
         return folder_source(path, wanted)
     if path.suffix.lower() in SUFFIXES:
         return video_source(path, wanted)
+    if path.suffix.lower() == ".mcap":
+        return recording_source(path, wanted)
     raise InputError(f"{text}: neither a video nor a folder of pictures; see the list of sources in the documentation")
 
 

@@ -10,7 +10,7 @@ from tubesight.sources.jpeg import decode_picture
 from tubesight.sources.reader import Picture, Source, Wanted
 
 # A picture is decoded at least after so many, also where more always wait.
-_SKIP_MAX = 30
+_SKIP_MAX = 2
 
 
 class _HttpReader:

@@ -20,6 +20,7 @@ from tubesight.core import InputError
 from tubesight.outputs.publish import Subscriber
 from tubesight.sensor import ShapeSensor
 from tubesight.simulate import render_pair
+from tubesight.sources.jpeg import to_gray
 from tubesight.sources.live import LiveCameras
 from tubesight.sources.simulated import SIM_TUBE, sim_phantom
 from tubesight.tracking.pairing import PairingRule
@@ -82,13 +83,13 @@ def run_live(
         warm_up(sensor)
     rule = PairingRule(tuple(setup.sources), options.tolerance_s, options.offset_s)
     tracker, stats, watch = Tracker(options.filtered), Stats(), RigWatch(setup.rig, setup.tube.clamped)
-    with quiet_collector() as collect, _stop_at_term(), LiveCameras(setup.sources, rule) as cameras:
+    with quiet_collector() as collect, _stop_signals() as stopped, LiveCameras(setup.sources, rule) as cameras:
 
         def figures() -> Figures:
             return stats.figures(cameras.counts(), recorded())
 
         with suppress(KeyboardInterrupt):
-            for tracked in _results(options, cameras, tracker, watch, sensor if measuring else None):
+            for tracked in _results(options, cameras, tracker, watch, sensor if measuring else None, stopped):
                 stats.add(tracked)
                 for subscriber in subscribers:
                     subscriber.publish(tracked)
@@ -99,14 +100,19 @@ def run_live(
 
 
 def _results(
-    options: LiveOptions, cameras: LiveCameras, tracker: Tracker, watch: RigWatch, measure: ShapeSensor | None
+    options: LiveOptions,
+    cameras: LiveCameras,
+    tracker: Tracker,
+    watch: RigWatch,
+    measure: ShapeSensor | None,
+    stopped: Callable[[], bool],
 ) -> Iterator[Tracked]:
     """Measure pairs as they come, and say when cameras fail and return."""
     start = time.monotonic()
     end = math.inf
     index, alive = 0, False
     last_faults: dict[str, CameraFault] = {}
-    while not (cameras.ended and cameras.idle) and time.monotonic() < end:
+    while not (cameras.ended and cameras.idle) and time.monotonic() < end and not stopped():
         pair = cameras.take(_TICK_S)
         now = time.monotonic()
         watched = cameras.watched()
@@ -144,12 +150,16 @@ def _refuse_dead(watched: Mapping[str, Watched], seconds: float) -> None:
 
 
 def warm_up(sensor: ShapeSensor) -> None:
-    """Measure a simulated tube, so that everything is compiled and loaded before the first camera runs."""
+    """Measure a simulated tube, so that everything is compiled and loaded before the first camera runs.
+
+    In colour and in gray: code is compiled for each kind of picture apart.
+    """
     tube = sensor.tube if sensor.tube.diameter_mm is not None else SIM_TUBE
     with suppress(ValueError):
         pair = render_pair(sensor.rig, sim_phantom(0), tube, name="warm-up")
-        for _ in range(2):
-            sensor(pair)
+        for images in (pair.images, {name: to_gray(image) for name, image in pair.images.items()}):
+            for _ in range(2):
+                sensor(replace(pair, images=images))
 
 
 @contextmanager
@@ -175,17 +185,24 @@ def quiet_collector() -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
-def _stop_at_term() -> Iterator[None]:
-    """Let SIGTERM stop the loop as Ctrl-C does."""
+def _stop_signals() -> Iterator[Callable[[], bool]]:
+    """Let Ctrl-C and SIGTERM end the loop between two pairs; gives what tells whether one came.
+
+    An exception could come anywhere, also where it is swallowed. A second Ctrl-C raises one all the same.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    asked = threading.Event()
 
     def stop(signum: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
 
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, stop)
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield
+        yield asked.is_set
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

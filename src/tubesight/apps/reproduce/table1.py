@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -12,7 +11,8 @@ import numpy as np
 
 from tubesight.apps.reproduce import drawing
 from tubesight.apps.reproduce.experiment import of
-from tubesight.apps.reproduce.mockup import LENGTH_MM, TUBE, true_rig
+from tubesight.apps.reproduce.mask_points import mask_steps, mask_text, speed_text
+from tubesight.apps.reproduce.mockup import LENGTH_MM, true_rig
 from tubesight.apps.reproduce.noisy_points import ESTIMATORS, bound, draw_points, estimate
 from tubesight.apps.reproduce.study import Context, StudyResult, Table
 from tubesight.core import Array
@@ -188,7 +188,7 @@ def run(context: Context) -> StudyResult:
     summary = {f"{name}/{_READINGS[k]}": _summary(entry) for (name, k), entry in pooled.items() if name != "bound"}
     return StudyResult(
         "Table 1: noise on the centreline points",
-        (*_TEXT, _rays_text(rows), _verdict(pooled), _ratio_text(pooled), _mask_text(), _speed_text(context)),
+        (*_TEXT, _rays_text(rows), _verdict(pooled), _ratio_text(pooled), mask_text(), speed_text(context.seed, _MAIN)),
         figures,
         (_table(pooled, "mean", _PAPER_MEAN), _table(pooled, "max", _PAPER_MAX)),
         summary,
@@ -295,45 +295,6 @@ def _ratio_text(pooled: Mapping[tuple[str, bool], Row]) -> str:
     )
 
 
-def _mask_text() -> str:
-    step, half, most = _mask_steps()
-    return (
-        f"The mask of the paper steps by its own radius, which is at least the tube's half width of {half:.0f} px: on "
-        f"these photographs it gives at most {most} points, and {step} at 1.5 half widths. More points, which every "
-        "estimator needs against noise of millimetres, cannot come from it."
-    )
-
-
-def _mask_steps() -> tuple[int, float, int]:
-    """Count points at 1.5 half widths, give the half width in px, and count points at one half width."""
-    assert TUBE.diameter_mm is not None
-    per_mm = _px_per_mm()
-    half = per_mm * TUBE.diameter_mm / 2
-    return int(LENGTH_MM * per_mm / (1.5 * half)), half, int(LENGTH_MM * per_mm / half)
-
-
-def _px_per_mm() -> float:
-    rig = true_rig()
-    scale = [rig.cameras[n].focal_px / np.linalg.norm(rig.camera_from_base[n].translation_mm) for n in rig.names]
-    return float(np.mean(scale))
-
-
-def _speed_text(context: Context) -> str:
-    """Time the batched closed form on one core; best of three."""
-    rig, rng, trials = true_rig(), np.random.default_rng(context.seed), 2000
-    phantoms = [Arc(0.5, float(np.radians(a)), LENGTH_MM) for a in np.resize(_ORIENTATIONS_DEG, trials)]
-    rates = []
-    for count in (_mask_steps()[0], _MAIN):
-        points = draw_points(rig, phantoms, count, np.ones(trials), True, rng)
-        times = []
-        for _ in range(3):
-            start = time.process_time()
-            estimate("reference_tangent", points, rig)
-            times.append(time.process_time() - start)
-        rates.append(f"{trials / min(times):,.0f} a second with {count} points")
-    return f"The closed form, batched, on one core of this machine: {' and '.join(rates)}."
-
-
 _COLOURS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "reference_tangent": (drawing.COLOURS["reference"], "s"),
@@ -396,7 +357,7 @@ def _points_figure(rows: Sequence[Row]) -> Drawing:
                 own = [_pooled(of(rows, estimator=name, ends=ends, points=n)) for n in _COUNTS]
                 _line(panel, _COUNTS, [o[f"{_QUANTITIES[k]}_mean"] for o in own], name, colour, marker, known)
         drawing.paper_line(panel, [_PAPER_MEAN[k]], "paper, mean")
-        panel.axvspan(_mask_steps()[2], _COUNTS[-1] * 1.1, color="#eeeeee", zorder=0)
+        panel.axvspan(mask_steps()[2], _COUNTS[-1] * 1.1, color="#eeeeee", zorder=0)
         drawing.decimal_log(panel)
         panel.set(xscale="log", title=_HEADINGS[k], xlabel="number of points")
         panel.set_xlim(_COUNTS[0] * 0.9, _COUNTS[-1] * 1.1)
