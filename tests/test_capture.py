@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -298,7 +299,7 @@ def test_driver_that_hangs_does_not_hang_the_program() -> None:
         release.wait()
         raise InputError("late")
 
-    feed = LiveFeed("camera", lambda: (hang, lambda: None), 0.2)
+    feed = LiveFeed("camera", lambda: SimpleNamespace(read=hang, close=lambda: None), 0.2)
     with pytest.raises(InputError, match=r"camera: no picture for 0.2 s"):
         feed.next()
     release.set()

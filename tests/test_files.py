@@ -194,7 +194,7 @@ def test_rig_hash_tells_files_apart(tmp_path: Path) -> None:
         (load_board, BOARD, "13", "thirteen", "expected a valid number"),
         (load_tube, TUBE, "clamped", "clampd", "did you mean 'clamped'?"),
         (load_tube, TUBE, "shape: ball, ", "shap: ball, ", "tip: unknown key 'shap'; did you mean 'shape'?"),
-        (load_tube, TUBE, "ball", "sphere", "expected 'ball', 'round' or 'flat', got 'sphere'"),
+        (load_tube, TUBE, "ball", "sphere", "expected 'ball', 'round', 'flat' or 'open', got 'sphere'"),
         (load_tube, TUBE, "shape: ball", "shape: round", "a round end has the tube's own diameter"),
         (load_tube, TUBE, ", diameter_mm: 16", "", "ball tip needs a positive diameter_mm"),
         (load_tube, TUBE, "12", ".nan", "finite number"),

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from tubesight.apps import doctor
-from tubesight.apps.devices import list_devices
 from tubesight.apps.doctor import Check, check_cache, check_cameras, check_disk, check_opencv, check_port
 from tubesight.cli.main import main
+from tubesight.sources.devices import list_devices
 
 
 def leave(*args: str) -> int:
@@ -59,7 +59,7 @@ def test_devices_by_name_and_serial(tmp_path: Path) -> None:
 
 
 def test_devices_without_any(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("tubesight.apps.devices.list_devices", lambda: ())
+    monkeypatch.setattr("tubesight.sources.devices.list_devices", lambda: ())
     assert leave("devices") == 0
     assert "no camera found" in capsys.readouterr().out
     assert leave("devices", "--json") == 0

@@ -1,4 +1,4 @@
-"""``python -m tubesight``: the command line."""
+"""``python -m tubesight``: the command line, where no script is installed."""
 
 from tubesight.cli.main import main
 

@@ -11,11 +11,12 @@ from functools import partial
 import numpy as np
 
 from tubesight.core import Array, FramePair, Image, Status, Tube, Unmeasurable
-from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.curve import Curve3D, NodeCurve
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.shape import Shape, shape_of
 from tubesight.methods import METHODS
 from tubesight.methods.agreement import reprojection_rms_px
+from tubesight.methods.common_end import to_common_end
 from tubesight.methods.mark import from_mark, marked_width_px
 from tubesight.methods.rays import optics
 from tubesight.vision.mark import starts_at
@@ -112,12 +113,16 @@ class ShapeSensor:
                     views[name] = self._see(name, image)
             with _stage(ms, "solve"):
                 views = from_mark(views, self.rig, self.base_px)
+                if self.tube.tip.shape == "open":
+                    views = to_common_end(views, self.rig)
                 curve = METHODS[self.method].solve(views, self.rig, self.tube)
                 rms = reprojection_rms_px(curve, views, self.rig)
                 shape = shape_of(curve, 3 * self._tip_sd_mm(curve))
         except Unmeasurable as failure:
             return Reconstruction(pair.name, failure.status, (str(failure),), None, None, views, self.method, ms=ms)
         notes = [f"{v.camera}: {note}" for v in views.values() for note in v.notes]
+        if isinstance(curve, NodeCurve) and curve.note:
+            notes.append(curve.note)
         if np.isnan(shape.orientation_rad):
             notes.append("orientation undefined: the tip lies on the base axis")
         return Reconstruction(pair.name, Status.OK, tuple(notes), shape, curve, views, self.method, rms, ms)
@@ -137,8 +142,11 @@ class ShapeSensor:
             for marked in starts_at(image, base_px, width_px):
                 with suppress(Unmeasurable):
                     seen.append(see(marked, base_px))
+        if not seen or self.tube.tip.shape == "open":
+            # Where no tip has to be found, a walk that is soon lost passes for one: that from the middle counts too.
+            seen.append(see(start, base_px))
         # Of the two ways from a mark in the middle the longer one leads to the tip.
-        return max(seen, key=lambda view: len(view.edges_px), default=None) or see(start, base_px)
+        return max(seen, key=lambda view: len(view.edges_px))
 
     def start_of(self, name: str) -> tuple[Start | None, Array | None]:
         """Where the tube starts in a camera's pictures: the projected clamp, or a pixel of the base, or neither.

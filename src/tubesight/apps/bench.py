@@ -120,11 +120,11 @@ def run_benchmark(pairs: int, names: Sequence[str] = (), progress: Progress | No
     pairs
         How many pairs each method sees.
     names
-        Methods; all where empty.
+        Methods; where empty, all that need no more than the pictures of two cameras.
     progress
         Called with the number of pairs done and their total.
     """
-    names = tuple(names) or tuple(METHODS)
+    names = tuple(names) or tuple(n for n, m in METHODS.items() if m.scene == "plain" and not m.given)
     unknown = [name for name in names if name not in METHODS]
     if unknown:
         raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {unknown[0]!r}")
@@ -134,7 +134,7 @@ def run_benchmark(pairs: int, names: Sequence[str] = (), progress: Progress | No
     times: dict[str, list[float]] = {name: [] for name in names}
     stages: dict[str, list[Mapping[str, float]]] = {name: [] for name in names}
     failures = dict.fromkeys(names, 0)
-    with _one_thread():
+    with one_thread():
         for sensor in sensors.values():
             sensor(ring[0])
         for k in range(pairs):
@@ -180,7 +180,7 @@ def _rendered(rig: Rig) -> list[FramePair]:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
     """One thread of OpenCV, and no garbage collection in between."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)

@@ -19,7 +19,8 @@ from tubesight.files.dataset import list_pairs, list_pictures
 from tubesight.files.images import read_image
 from tubesight.files.rig import refuse_camera_name
 from tubesight.files.safe import write_atomic
-from tubesight.sources.camera import TIMEOUT_S, close_feeds, instants, open_feeds
+from tubesight.sources.camera import close_feeds, instants, open_feeds
+from tubesight.sources.reader import TIMEOUT_S
 
 
 @dataclass(frozen=True, slots=True)

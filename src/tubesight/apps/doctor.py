@@ -18,8 +18,8 @@ from typing import Literal
 import cv2
 
 from tubesight import __version__
-from tubesight.apps.devices import list_devices, supported
 from tubesight.core.kernels import COMPILED
+from tubesight.sources.devices import list_devices, supported
 
 Grade = Literal["ok", "warn", "bad"]
 

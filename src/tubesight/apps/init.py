@@ -17,9 +17,10 @@ _TUBE = """\
 # What you know of the tube. Leave a line out where you do not know: the diameter is then estimated from the pictures.
 diameter_mm: 12.0
 tip:
-  shape: ball        # ball, round (as wide as the tube) or flat (a straight cut)
+  shape: ball        # ball, round (as wide as the tube), flat (a straight cut), or open: its end is not seen
   diameter_mm: 16.0  # of a ball only; leave it out for round and flat
 clamped: true        # the tube leaves the origin of the base frame along +z; false where nothing holds it there
+tapered: false       # true where its diameter changes along it; diameter_mm is then that at the base
 """
 
 _REGISTRATION = """\

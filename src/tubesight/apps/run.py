@@ -115,10 +115,8 @@ def run_folder(options: RunOptions, progress: Progress | None = None) -> RunRepo
     """
     _refuse_place(options.out)
     started = datetime.now(UTC)
-    rig, tube, messages = _rig_and_tube(options)
-    source = FolderSource(options.folder, rig)
-    backgrounds = _backgrounds(options, rig, messages)
-    sensor = ShapeSensor(rig, tube, options.method, backgrounds, _base_px(options, rig))
+    sensor, source, messages = sensor_for(options)
+    rig, tube = sensor.rig, sensor.tube
     rows, curves, problems, views, files = [], [], [], [], []
     for index, stem in enumerate(source.stems):
         try:
@@ -147,6 +145,20 @@ def run_folder(options: RunOptions, progress: Progress | None = None) -> RunRepo
     about = _run_json(options, rig, tube, rows, messages, started)
     files += write_results(options.out, rows, curves_of(curves), about)
     return RunReport(tuple(rows), tuple(problems), tuple(messages), tuple(files))
+
+
+def sensor_for(options: RunOptions) -> tuple[ShapeSensor, FolderSource, list[str]]:
+    """Make the sensor and the source of a run, and say what the user should know.
+
+    Raises
+    ------
+    InputError
+        If rig, tube, folder or background cannot be used.
+    """
+    rig, tube, messages = _rig_and_tube(options)
+    source = FolderSource(options.folder, rig)
+    backgrounds = _backgrounds(options, rig, messages)
+    return ShapeSensor(rig, tube, options.method, backgrounds, _base_px(options, rig)), source, messages
 
 
 def _refuse_place(out: Path) -> None:

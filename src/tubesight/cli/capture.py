@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from tubesight.cli.live_options import SizeOption, SourceOption, size_of, sources_of
 
 if TYPE_CHECKING:
     from tubesight.apps.capture import Captured, State
@@ -21,19 +22,10 @@ _EVERY_S = 5.0
 def command(
     board: Annotated[Path, typer.Option("--board", help="The board: `board.yaml`.")],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for the pairs; goes on where pairs are there.")],
-    source: Annotated[
-        list[str],
-        typer.Option(
-            "--source",
-            metavar="CAMERA=SOURCE",
-            help="Per camera: an index, `/dev/video0`, `http://...`, a video, a folder of pictures, or `sim:`.",
-        ),
-    ],
+    source: SourceOption,
     pairs: Annotated[int, typer.Option("--pairs", min=4, max=200, help="How many pairs to keep at least.")] = 15,
     seconds: Annotated[float, typer.Option("--seconds", min=1, help="Longest time to go on.")] = 900.0,
-    size: Annotated[
-        str | None, typer.Option("--size", metavar="WIDTHxHEIGHT", help="Size of picture to ask the cameras for.")
-    ] = None,
+    size: SizeOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone.")] = False,
 ) -> None:
     """Take pairs of pictures of a board to calibrate with, and say where to hold it.
@@ -46,7 +38,7 @@ def command(
     from tubesight.apps.capture import CaptureOptions, capture
     from tubesight.files.tables import to_json
 
-    options = CaptureOptions(_sources(source), board, out, pairs, seconds, _size(size))
+    options = CaptureOptions(sources_of(source), board, out, pairs, seconds, size_of(size))
     with _screen(json) as tell:
         captured = capture(options, tell)
     if json:
@@ -54,27 +46,6 @@ def command(
     else:
         _print(captured)
     raise typer.Exit(1 if captured.level == "too few" else 0)
-
-
-def _sources(texts: Sequence[str]) -> dict[str, str]:
-    sources: dict[str, str] = {}
-    for text in texts:
-        name, equals, source = text.partition("=")
-        if not (equals and name and source):
-            raise typer.BadParameter(f"expected CAMERA=SOURCE such as left=0, got {text!r}", param_hint="--source")
-        if name in sources:
-            raise typer.BadParameter(f"camera {name!r} is there twice", param_hint="--source")
-        sources[name] = source
-    return sources
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    match = re.fullmatch(r"(\d{2,5})x(\d{2,5})", text)
-    if match is None:
-        raise typer.BadParameter(f"expected WIDTHxHEIGHT such as 1920x1080, got {text!r}", param_hint="--size")
-    return int(match[1]), int(match[2])
 
 
 @contextmanager

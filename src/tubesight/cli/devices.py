@@ -13,9 +13,9 @@ def command(json: Annotated[bool, typer.Option("--json", help="Print JSON alone.
 
     tubesight devices
     """
-    from tubesight.apps.devices import list_devices, supported
     from tubesight.cli.console import stdout
     from tubesight.files.tables import to_json
+    from tubesight.sources.devices import list_devices, supported
 
     devices = list_devices()
     if json:

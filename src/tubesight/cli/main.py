@@ -14,17 +14,27 @@ from tubesight.cli import (
     calibrate,
     capture,
     check,
+    compare,
     demo,
     devices,
     doctor,
     evaluate,
+    export,
     import_,
     init,
+    live,
     methods,
+    plan,
+    record,
+    recover,
     register,
+    replay,
+    reproduce,
     rig_export,
     run,
     simulate,
+    soak,
+    view,
     warmup,
 )
 from tubesight.cli.places import BaseCommand
@@ -67,10 +77,20 @@ app.command("import")(import_.command)
 app.command("rig-export")(rig_export.command)
 app.command("check")(check.command)
 app.command("run", cls=BaseCommand)(run.command)
+app.command("view")(view.command)
+app.command("live", cls=BaseCommand)(live.command)
+app.command("record")(record.command)
+app.command("replay")(replay.command)
+app.command("recover")(recover.command)
+app.command("export")(export.command)
 app.command("evaluate")(evaluate.command)
 app.command("methods")(methods.command)
+app.command("plan")(plan.command)
 app.command("simulate")(simulate.command)
+app.command("compare")(compare.command)
 app.command("bench")(bench.command)
+app.command("reproduce")(reproduce.command)
+app.command("soak")(soak.command)
 app.command("devices")(devices.command)
 app.command("warmup")(warmup.command)
 app.command("doctor")(doctor.command)

@@ -58,7 +58,7 @@ def command(
     """
     places = places_of(base or [])
     if method is not None:
-        _refuse_unknown(method)
+        refuse_unknown(method)
     named = {
         "folder": folder,
         "rig_path": rig,
@@ -92,7 +92,8 @@ def _options(config: Path | None, named: dict[str, Any]) -> RunOptions:
     return RunOptions(**given)
 
 
-def _refuse_unknown(method: str) -> None:
+def refuse_unknown(method: str) -> None:
+    """Refuse a name that is no registered method as wrong usage."""
     from tubesight.files.safe import unknown_name
     from tubesight.methods import METHODS
 

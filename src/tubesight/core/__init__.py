@@ -3,19 +3,21 @@
 from tubesight.core.arrays import Array, Image, Mask, readonly, sealed
 from tubesight.core.board import Board
 from tubesight.core.errors import InputError
-from tubesight.core.frames import FramePair
+from tubesight.core.frames import Frame, FramePair
 from tubesight.core.status import Status, Unmeasurable
-from tubesight.core.tube import Tip, Tube
+from tubesight.core.tube import Tip, TipShape, Tube
 
 __all__ = [
     "Array",
     "Board",
+    "Frame",
     "FramePair",
     "Image",
     "InputError",
     "Mask",
     "Status",
     "Tip",
+    "TipShape",
     "Tube",
     "Unmeasurable",
     "readonly",

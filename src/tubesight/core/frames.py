@@ -1,4 +1,4 @@
-"""Pictures of one instant."""
+"""Pictures as cameras give them, and pictures of one instant."""
 
 from __future__ import annotations
 
@@ -6,6 +6,31 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from tubesight.core.arrays import Image
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One picture of one camera.
+
+    Attributes
+    ----------
+    camera
+        Name.
+    image
+        (H, W) gray or (H, W, 3) BGR, 8 bit.
+    time_s
+        When it was taken, on the clock that all cameras of a rig share; where a camera does not tell, when it arrived.
+    number
+        Counts the camera's pictures; a gap is a picture lost before it got here.
+    coded
+        The picture as the camera sent it (a whole JPEG), empty where it came as pixels.
+    """
+
+    camera: str
+    image: Image
+    time_s: float
+    number: int = 0
+    coded: bytes = b""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

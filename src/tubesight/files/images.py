@@ -13,9 +13,9 @@ from tubesight.files.headers import BrokenPicture, picture_size
 from tubesight.files.safe import read_bytes
 
 # A 0.9 MB PNG can decode to 30000 x 30000 pixels, 2.7 GB. Industrial cameras rarely have more than 65 megapixels.
-_MAX_PIXELS = 100_000_000
+MAX_PIXELS = 100_000_000
 # An uncompressed colour picture of that size.
-_MAX_BYTES = 3 * _MAX_PIXELS + (1 << 20)
+_MAX_BYTES = 3 * MAX_PIXELS + (1 << 20)
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".pnm")
 
@@ -54,7 +54,7 @@ def decode_image(data: bytes, path: Path | str, size_px: tuple[int, int] | None 
         width, height = picture_size(data)
     except BrokenPicture as error:
         raise InputError(f"{path}: the picture cannot be used ({error}); take it again or leave it out") from error
-    if not 0 < width * height <= _MAX_PIXELS:
+    if not 0 < width * height <= MAX_PIXELS:
         raise InputError(
             f"{path}: {width} x {height} pixels is more than the 100 megapixels allowed; scale the picture down"
         )

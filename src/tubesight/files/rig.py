@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import Field, PositiveInt, field_validator
 
 from tubesight.core import InputError
-from tubesight.files.nested import dump_yaml
-from tubesight.files.safe import Strict, load_yaml, read_bytes, write_atomic
+from tubesight.files.nested import dump_yaml, parse_yaml
+from tubesight.files.safe import Strict, read_bytes, read_text, validate, write_atomic
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig, RigCovariance
@@ -78,8 +78,12 @@ class RigFile:
 
 def load_rig(path: Path) -> RigFile:
     """Read ``rig.yaml``; raise `InputError` where it does not describe a rig."""
-    path = Path(path)
-    file = load_yaml(path, _RigFile, RIG_BYTES)
+    return rig_from_text(read_text(Path(path), RIG_BYTES), Path(path))
+
+
+def rig_from_text(text: str, path: Path) -> RigFile:
+    """Read the text of a ``rig.yaml`` that lies in another file."""
+    file = validate(parse_yaml(text, path), _RigFile, path)
     cameras, poses = {}, {}
     for name, entry in file.cameras.items():
         refuse_camera_name(name, f"{path}: cameras")
@@ -169,6 +173,11 @@ def save_rig(path: Path, rig: Rig, calibration: Mapping[str, Any] | None = None)
     ValueError
         If a number is not finite: such a file could not be read again.
     """
+    write_atomic(path, rig_text(rig, calibration))
+
+
+def rig_text(rig: Rig, calibration: Mapping[str, Any] | None = None) -> str:
+    """Write a rig as ``rig.yaml`` has it; see `save_rig`."""
     data: dict[str, Any] = {"format": FORMAT, "units": "mm"}
     if rig.base_frame != "clamp":
         data["base_frame"] = rig.base_frame
@@ -189,7 +198,7 @@ def save_rig(path: Path, rig: Rig, calibration: Mapping[str, Any] | None = None)
     text = dump_yaml(data)
     if re.search(r"(?<![\w.])[-+]?\.(?:inf|nan)\b", text):
         raise ValueError("a rig file cannot hold a number that is not finite")
-    write_atomic(path, text)
+    return text
 
 
 def rig_hash(path: Path) -> str:

@@ -56,6 +56,8 @@ class ShapeRow:
 
 
 COLUMNS = tuple(field.name for field in fields(ShapeRow))
+#: Columns of standard deviations.
+SD_COLUMNS = tuple(name for name in COLUMNS if "_sd_" in name)
 _TEXT = ("frame", "status", "notes", "model", "method")
 
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from tubesight.core import Array, sealed
 from tubesight.geometry.conic import fit_halir_flusser
-from tubesight.geometry.curve import Arc, EllipseArc
+from tubesight.geometry.curve import Arc, EllipseArc, NodeCurve
 from tubesight.geometry.pose import Pose
 
 # Ratio of spreads under which points in space lie on a line, so that rounding alone would choose their plane.
 _LINE_RATIO = 1e-9
+# Nodes of each arc of a curve: a cubic Hermite piece of a quarter turn cut in 24 is 1e-8 of its length off.
+_NODES = 25
 
 
 def clamped_arc(tip_mm: Array) -> Arc:
@@ -39,6 +42,34 @@ def clamped_arc(tip_mm: Array) -> Arc:
     length = chord * half / math.sin(half) if half > 0 else chord
     bend = 2 * half / (side * length) if side > 0 else 0.0
     return Arc(sealed(np.array([bend * x, bend * y])), length)
+
+
+def tangent_arc(start: Pose, chord_mm: Array) -> Arc:
+    """Arc that leaves a frame along its +z and ends at a point (3,) of that frame; see `clamped_arc`."""
+    arc = clamped_arc(chord_mm)
+    return Arc(arc.curvature_per_mm, arc.length_mm, start)
+
+
+def end_of(arc: Arc) -> Pose:
+    """Frame at the end of an arc, carried along it without twist."""
+    axis = np.array([-arc.curvature_per_mm[1], arc.curvature_per_mm[0], 0.0])
+    turned = Pose.from_rotvec(arc.length_mm * axis, np.zeros(3))
+    return Pose((arc.start @ turned).rotation, arc.at([arc.length_mm])[0])
+
+
+def joined(arcs: Sequence[Arc]) -> NodeCurve:
+    """One curve of arcs, each of which starts where the one before it ends; arcs of no length are left out."""
+    longer = [arc for arc in arcs if arc.length_mm > 0]
+    if not longer:
+        raise ValueError("arcs of no length do not make a curve")
+    starts = np.concatenate([[0.0], np.cumsum([arc.length_mm for arc in longer])])
+    s, points, tangents = [], [], []
+    for first, (start, arc) in enumerate(zip(starts[:-1], longer, strict=True)):
+        own = np.linspace(0.0, arc.length_mm, _NODES)[min(first, 1) :]
+        s.append(start + own)
+        points.append(arc.at(own))
+        tangents.append(arc.tangent(own))
+    return NodeCurve("arcs", np.concatenate(s), np.vstack(points), np.vstack(tangents))
 
 
 def bending_plane(points_mm: Array, weights: Array) -> Array:

@@ -53,6 +53,8 @@ class NodeCurve:
     from_picture, from_rig
         The curve displaced by one standard deviation along each independent direction of its covariance: what comes
         from the pictures, and what comes from the calibration. Empty where not known.
+    note
+        Why it is of this family, in words, where that is worth telling.
     """
 
     model: str
@@ -61,6 +63,7 @@ class NodeCurve:
     tangents: Array
     from_picture: Sequence[NodeCurve] = ()
     from_rig: Sequence[NodeCurve] = ()
+    note: str = ""
 
     def __post_init__(self) -> None:
         m = len(self.s_mm)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from tubesight.core import Array
 from tubesight.geometry.pose import Pose
@@ -19,12 +20,30 @@ from tubesight.geometry.pose import Pose
 INTERVALS = 48
 # Numbers of the base's own parameters after a family's: offset x, y in mm, tilts towards x, y in rad.
 BASE = 4
-# Places of the nodes as shares, and the Legendre polynomials of curvature there, with their integrals over each arc.
+# Places of the nodes as shares.
 _ENDS = np.linspace(0.0, 1.0, INTERVALS + 1)
 _HALVES = np.linspace(0.0, 1.0, 2 * INTERVALS + 1)
-_POLYNOMIALS = [np.polynomial.legendre.Legendre.basis(k, domain=[0, 1]) for k in range(5)]
-LEGENDRE_ENDS = np.stack([p(_ENDS) for p in _POLYNOMIALS])
-LEGENDRE_TURNS = np.diff(np.stack([p.integ(lbnd=0)(_ENDS) for p in _POLYNOMIALS]), axis=1)
+# Cubic B-splines of curvature: as many as bends of a quarter of the tube need, and as helices of three turns need.
+SPLINE, FINE_SPLINE = 10, 18
+
+
+def _basis() -> tuple[Array, Array]:
+    """Shapes of curvature at the nodes (K, M + 1), with their integrals over each arc (K, M).
+
+    In rows: Legendre polynomials of degree 0 to 4, then `SPLINE` and `FINE_SPLINE` B-splines.
+    """
+    legendre = [np.polynomial.legendre.Legendre.basis(k, domain=[0, 1]) for k in range(5)]
+    ends = [np.stack([p(_ENDS) for p in legendre])]
+    turned = [np.stack([p.integ(lbnd=0)(_ENDS) for p in legendre])]
+    for count in (SPLINE, FINE_SPLINE):
+        knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
+        splines = BSpline(knots, np.eye(count), 3)
+        ends.append(splines(_ENDS).T)
+        turned.append(splines.antiderivative()(_ENDS).T)
+    return np.concatenate(ends), np.diff(np.concatenate(turned), axis=1)
+
+
+BASIS_ENDS, BASIS_TURNS = _basis()
 # What the first guess of an ellipse is held to: least turn from which it is told, least curvature as a share of the
 # largest, and a ratio of axes of 4.4 to 1.
 _TURN_MIN, _LEAST_CURVATURE, _TANH_MAX = 0.03, 0.1, 0.9
@@ -185,23 +204,31 @@ def polynomial_chain(p: Array) -> Chain:
     """Plane curve of polynomial curvature: ``(azimuth, c0, ..., cn, length)``, Legendre, cn in rad of total turn."""
     count = len(p) - 2
     way = np.array([np.cos(p[0]), np.sin(p[0])])
-    basis = LEGENDRE_TURNS[:count]
+    basis = BASIS_TURNS[:count]
     turn = p[1:-1] @ basis
     d_turns = np.zeros((INTERVALS, 2, len(p)))
     d_turns[:, 0, 0], d_turns[:, 1, 0] = -way[1] * turn, way[0] * turn
     d_turns[:, :, 1:-1] = basis.T[:, None, :] * way[:, None]
-    curvature = (p[1:-1] @ LEGENDRE_ENDS[:count])[:, None] * way / p[-1]
+    curvature = (p[1:-1] @ BASIS_ENDS[:count])[:, None] * way / p[-1]
     return _even(turn[:, None] * way, curvature, d_turns, p[-1])
 
 
 def spatial_chain(p: Array) -> Chain:
-    """Space curve whose two curvatures in a frame without twist are polynomials: ``(x0, y0, x1, y1, ..., length)``."""
+    """Space curve whose two curvatures in a frame without twist are sums of a basis: ``(x0, y0, x1, y1, ..., length)``.
+
+    The basis goes by the number of coefficients: `SPLINE` or `FINE_SPLINE` B-splines, else Legendre polynomials.
+    """
     count = len(p) // 2
+    ends, turned = (basis[first_of(count) : first_of(count) + count] for basis in (BASIS_ENDS, BASIS_TURNS))
     coefficients = p[:-1].reshape(count, 2)
     d_turns = np.zeros((INTERVALS, 2, len(p)))
-    d_turns[:, 0, 0:-1:2] = d_turns[:, 1, 1::2] = LEGENDRE_TURNS[:count].T
-    curvature = LEGENDRE_ENDS[:count].T @ coefficients / p[-1]
-    return _even(LEGENDRE_TURNS[:count].T @ coefficients, curvature, d_turns, p[-1])
+    d_turns[:, 0, 0:-1:2] = d_turns[:, 1, 1::2] = turned.T
+    return _even(turned.T @ coefficients, ends.T @ coefficients / p[-1], d_turns, p[-1])
+
+
+def first_of(count: int) -> int:
+    """Row of the basis at which that of a curve with `count` coefficients for each curvature begins."""
+    return {SPLINE: 5, FINE_SPLINE: 5 + SPLINE}.get(count, 0)
 
 
 def _even(turns: Array, curvature: Array, d_turns: Array, length: float) -> Chain:
@@ -223,6 +250,10 @@ FAMILIES: dict[str, Family] = {
     "spatial2": Family("spatial2", 3, 7),
     "arcs3": Family("arcs3", 0, 9, soft=((6, 1.0), (7, 1.0))),
     "spatial4": Family("spatial4", 3, 11),
+    "arcs4": Family("arcs4", 0, 12, soft=((8, 1.0), (9, 1.0), (10, 1.0))),
+    "arcs6": Family("arcs6", 0, 18, soft=tuple((k, 1.0) for k in range(12, 17))),
+    "spline": Family("spline", 3, 2 * SPLINE + 1),
+    "fine_spline": Family("fine_spline", 3, 2 * FINE_SPLINE + 1),
 }
 
 
@@ -285,8 +316,27 @@ def nodes_of(family: Family, parameters: Array, start: Pose) -> Nodes:
 
 def bends_of_pieces(coefficients: Array, count: int) -> Array:
     """Bend vectors (count, 2) of equal pieces of a curve of `spatial_chain` with coefficients (K, 2)."""
-    turns = LEGENDRE_TURNS[: len(coefficients)].T @ coefficients
+    first = first_of(len(coefficients))
+    turns = BASIS_TURNS[first : first + len(coefficients)].T @ coefficients
     return np.asarray(turns.reshape(count, -1, 2).sum(1))
+
+
+def spatial_like(tangents: Array, length_mm: float, start: Pose, count: int) -> Array:
+    """Parameters (2 count + 1,) of `spatial_chain` nearest to a curve with tangents (M + 1, 3) at the nodes."""
+    frame = start.rotation @ bend_rotation(_bend_to(start.rotation.T @ tangents[0]))
+    turns = np.empty((INTERVALS, 2))
+    for k, tangent in enumerate(tangents[1:]):
+        turns[k] = _bend_to(frame.T @ tangent)
+        frame = frame @ bend_rotation(turns[k])
+    first = first_of(count)
+    coefficients = np.linalg.lstsq(BASIS_TURNS[first : first + count].T, turns, rcond=None)[0]
+    return np.append(coefficients.ravel(), length_mm)
+
+
+def _bend_to(local: Array) -> Array:
+    """Bend vector (2,) that turns +z to a unit direction (3,)."""
+    side = float(np.hypot(local[0], local[1]))
+    return np.asarray(local[:2] * (np.arctan2(side, local[2]) / side if side > 0 else 1.0))
 
 
 def ellipse_like(polynomial: Array) -> Array:
@@ -297,9 +347,9 @@ def ellipse_like(polynomial: Array) -> Array:
     """
     at = [0, INTERVALS // 2, INTERVALS]
     coefficients = polynomial[1:-1]
-    turned = np.append(0.0, np.cumsum(coefficients @ LEGENDRE_TURNS[: len(coefficients)]))
+    turned = np.append(0.0, np.cumsum(coefficients @ BASIS_TURNS[: len(coefficients)]))
     theta = float(turned[-1])
-    curvature = coefficients @ LEGENDRE_ENDS[: len(coefficients), at] * np.sign(theta)
+    curvature = coefficients @ BASIS_ENDS[: len(coefficients), at] * np.sign(theta)
     e = np.zeros(2)
     if abs(theta) > _TURN_MIN and curvature.max() > 0:
         level = np.maximum(curvature, _LEAST_CURVATURE * curvature.max()) ** (2 / 3)

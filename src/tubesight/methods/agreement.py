@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 
@@ -24,6 +25,45 @@ _TIP_GAP_MAX_PX = 4.0
 _BASE_GAP_WIDTHS = 0.5
 # Places of a curve that are reprojected: its image strays from their polyline by less than 0.01 px.
 _SHARES = np.linspace(0.0, 1.0, 100)
+# Places of a centreline nearer to the next one than this share of the median step are left out of a spline.
+_NEAR_STEPS = 0.3
+
+
+def best_pair(views: Mapping[str, View], rig: Rig) -> tuple[str, str]:
+    """Names of the two views whose cameras look at the largest angle.
+
+    Raises
+    ------
+    Unmeasurable
+        If there are fewer than two views.
+    """
+    return _best_pair(tuple(views), rig)
+
+
+@lru_cache(maxsize=8)
+def _best_pair(names: tuple[str, ...], rig: Rig) -> tuple[str, str]:
+    if len(names) < 2:
+        raise Unmeasurable(Status.TOO_FEW_POINTS, detail="two views are needed")
+    axes = {n: rig.camera_from_base[n].rotation[2] for n in names}
+    pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+    return max(pairs, key=lambda p: float(np.linalg.norm(np.cross(axes[p[0]], axes[p[1]]))))
+
+
+def way_of(view: View) -> Array:
+    """Rays ``v = (x, y, 1)`` (N, 3) of the whole centreline of a view: base, centreline, tip."""
+    return np.vstack([view.base, view.rays, view.tip.axis / view.tip.axis[2]])
+
+
+def resampled(way: Array, share: Array) -> Array:
+    """Rays (K, 3) at shares (K,) of the length of a centreline (N, 3) on the image plane, by a cubic spline."""
+    from scipy.interpolate import CubicSpline  # here: importing it takes as long as a first result
+
+    step = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    # Of two places nearer to each other than a part of the usual step the direction is noise: the end stays.
+    apart = np.append(step > _NEAR_STEPS * np.median(step), True)
+    kept = way[apart]
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(kept, axis=0), axis=1))])
+    return np.asarray(CubicSpline(along / along[-1], kept)(share))
 
 
 def triangulate_tip(views: Mapping[str, View], rig: Rig) -> Array:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from tubesight.geometry.cone import Cone, epipolar_crossing, ordered_depths, pla
 from tubesight.geometry.conic import CONIC_FITS, Conic
 from tubesight.geometry.curve import Arc, Curve3D
 from tubesight.geometry.rig import Rig
-from tubesight.methods.agreement import base_of, reprojection_rms_px, triangulate_tip
+from tubesight.methods.agreement import base_of, best_pair, reprojection_rms_px, triangulate_tip
 from tubesight.vision.view import View
 
 # The simplest model whose rms is within this factor of the best model's is taken: residuals are systematic, so that a
@@ -49,7 +48,7 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
     Unmeasurable
         If the views contradict each other, or no line, circle or ellipse describes what they show.
     """
-    pair = _best_pair(tuple(views), rig)
+    pair = best_pair(views, rig)
     tip = triangulate_tip(views, rig)
     if tube.clamped:
         models = _clamped(lambda: curve_points(views[pair[0]], views[pair[1]], rig), tip)
@@ -60,15 +59,6 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
         weights = weights if base is None else np.append(weights.max(), weights)
         models = _free(points, weights, tip)
     return _simplest(models, views, rig)
-
-
-@lru_cache(maxsize=8)
-def _best_pair(names: tuple[str, ...], rig: Rig) -> tuple[str, str]:
-    if len(names) < 2:
-        raise Unmeasurable(Status.TOO_FEW_POINTS, detail="two views are needed")
-    axes = {n: rig.camera_from_base[n].rotation[2] for n in names}
-    pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
-    return max(pairs, key=lambda p: float(np.linalg.norm(np.cross(axes[p[0]], axes[p[1]]))))
 
 
 def curve_points(one: View, other: View, rig: Rig) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from tubesight.core import Array
 from tubesight.core.kernels import part
-from tubesight.geometry.families import BASE, INTERVALS, LEGENDRE_ENDS, LEGENDRE_TURNS
+from tubesight.geometry.families import BASE, BASIS_ENDS, BASIS_TURNS, FINE_SPLINE, INTERVALS, SPLINE
 
 PIECES, ELLIPSE, POLYNOMIAL, SPATIAL = range(4)
 # Arrays of a chain and of its nodes, as in `Chain` and `Nodes`.
@@ -129,6 +129,7 @@ def polynomial_chain(kind: int, p: Array, chain: ChainArrays) -> None:
     turns, lengths, curvature, skew, d_turns, d_lengths = chain
     size = len(p)
     length = p[size - 1]
+    first = 5 if size // 2 == SPLINE else 5 + SPLINE if size // 2 == FINE_SPLINE else 0
     for i in range(INTERVALS + 1):
         for k in range(2):
             curvature[i, k] = 0.0
@@ -137,18 +138,18 @@ def polynomial_chain(kind: int, p: Array, chain: ChainArrays) -> None:
         if kind == SPATIAL:
             for j in range(size // 2):
                 for k in range(2):
-                    curvature[i, k] += LEGENDRE_ENDS[j, i] * p[2 * j + k] / length
+                    curvature[i, k] += BASIS_ENDS[first + j, i] * p[2 * j + k] / length
                     if i < INTERVALS:
-                        turns[i, k] += LEGENDRE_TURNS[j, i] * p[2 * j + k]
-                        d_turns[i, k, 2 * j + k] = LEGENDRE_TURNS[j, i]
+                        turns[i, k] += BASIS_TURNS[first + j, i] * p[2 * j + k]
+                        d_turns[i, k, 2 * j + k] = BASIS_TURNS[first + j, i]
         else:
             way = (np.cos(p[0]), np.sin(p[0]))
             for j in range(size - 2):
                 for k in range(2):
-                    curvature[i, k] += LEGENDRE_ENDS[j, i] * p[1 + j] * way[k] / length
+                    curvature[i, k] += BASIS_ENDS[j, i] * p[1 + j] * way[k] / length
                     if i < INTERVALS:
-                        turns[i, k] += LEGENDRE_TURNS[j, i] * p[1 + j] * way[k]
-                        d_turns[i, k, 1 + j] = LEGENDRE_TURNS[j, i] * way[k]
+                        turns[i, k] += BASIS_TURNS[j, i] * p[1 + j] * way[k]
+                        d_turns[i, k, 1 + j] = BASIS_TURNS[j, i] * way[k]
             if i < INTERVALS:
                 d_turns[i, 0, 0], d_turns[i, 1, 0] = -turns[i, 1], turns[i, 0]
         if i < INTERVALS:

@@ -16,7 +16,7 @@ from tubesight.geometry.cone import Cone, nearest_depth, place_along
 from tubesight.geometry.conic import fit_halir_flusser
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
-from tubesight.methods.agreement import reprojection_rms_px
+from tubesight.methods.agreement import reprojection_rms_px, way_of
 from tubesight.vision.view import View
 
 # Sagitta of the centreline in every view, pixels, below which the tube is straight: points found on whole pixels
@@ -59,7 +59,7 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
 
 def _reconstruct(names: list[str], views: Mapping[str, View], rig: Rig) -> Curve3D:
     """Figure 1 of the paper from the centreline points on: triangulated line, or circle or ellipse through the cone."""
-    arcs = {n: np.vstack([views[n].base, views[n].rays, views[n].tip.axis / views[n].tip.axis[2]]) for n in names}
+    arcs = {n: way_of(views[n]) for n in names}
     if all(sagitta(arcs[n]) * rig.cameras[n].focal_px < _STRAIGHT_PX for n in names):
         ends = rig.triangulate({n: arcs[n][[0, -1]] for n in names})
         return free_line(ends, np.ones(2), ends[1])

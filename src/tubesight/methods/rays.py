@@ -68,7 +68,7 @@ class Problem(NamedTuple):
     clamped
         Whether the start is known or free.
     end_mm
-        (3,) for flat tips: the middle of the end face; else NaN.
+        (3,) the middle of a flat end face, or the last point seen of an open end; else NaN.
     """
 
     direction: Array

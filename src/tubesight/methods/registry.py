@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from types import MappingProxyType
 
-from tubesight.core import Array, Image, Tube
-from tubesight.geometry.camera import Camera
-from tubesight.geometry.curve import Curve3D
-from tubesight.geometry.rig import Rig
-from tubesight.methods import cone_ray, dalvand, silhouette
+from tubesight.methods import cone_ray, dalvand, epipolar_dp, silhouette, spline_fit, triangulate
+from tubesight.methods.method import Method
+from tubesight.methods.plugins import Registry
+from tubesight.methods.rivals import RIVALS
 from tubesight.vision.reference import Reference
-from tubesight.vision.see import Start, see
-from tubesight.vision.view import View
-
-# (camera name, picture, background, camera, tube, start, base pixel) -> View; see `tubesight.vision.see.see`.
-Vision = Callable[[str, Image, Image | None, Camera, Tube, Start | None, Array | None], View]
 
 _PAPER = (
     "Dalvand, Nahavandi, Howe 2016, Fast vision-based catheter 3D reconstruction, "
@@ -34,33 +27,20 @@ _PAPER_TRAITS: Mapping[str, str] = MappingProxyType(
         "3-D": "yes",
     }
 )
+# What two matched centrelines give, whatever the shape.
+_MATCHING_TRAITS: Mapping[str, str] = MappingProxyType(
+    {
+        "cameras": "2",
+        "markers": "none",
+        "physical grid": "none",
+        "initial guess": "none",
+        "circular arcs": "not needed: any smooth curve",
+        "tip": "yes",
+        "3-D": "yes",
+    }
+)
 
-
-@dataclass(frozen=True, slots=True)
-class Method:
-    """A registered method: a vision strategy with a solver.
-
-    Attributes
-    ----------
-    name, summary, citation
-        Name on the command line, one sentence, and where it is from.
-    traits
-        A row of table 2 of Dalvand et al. 2016: what it needs and what it gives.
-    solve
-        ``(views, rig, tube) -> Curve3D``; raises `Unmeasurable` where the views do not give a curve.
-    see
-        The vision strategy: one picture to one `View`; raises `Unmeasurable` where the tube is not seen.
-    """
-
-    name: str
-    summary: str
-    citation: str
-    traits: Mapping[str, str]
-    solve: Callable[[Mapping[str, View], Rig, Tube], Curve3D]
-    see: Vision = see
-
-
-METHODS: Mapping[str, Method] = MappingProxyType(
+METHODS: Mapping[str, Method] = Registry(
     {
         "cone_ray": Method(
             name="cone_ray",
@@ -79,12 +59,12 @@ METHODS: Mapping[str, Method] = MappingProxyType(
                     "markers": "none",
                     "physical grid": "none",
                     "initial guess": "none",
-                    "circular arcs": "not needed: arcs, ellipses, polynomials of curvature, several segments",
+                    "circular arcs": "not needed: arcs, ellipses, several segments, splines of curvature",
                     "tip": "yes",
                     "3-D": "yes",
                 }
             ),
-            solve=silhouette.Silhouette(starter=cone_ray.solve),
+            solve=silhouette.Silhouette(starter=cone_ray.solve, general=epipolar_dp.solve),
         ),
         "reference": Method(
             name="reference",
@@ -103,5 +83,28 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             solve=dalvand.solve,
             see=Reference(whole=False),
         ),
+        "triangulate": Method(
+            name="triangulate",
+            summary="the naive baseline: both centrelines cut into equal shares of their length, paired, triangulated",
+            citation="common practice; Hartley, Zisserman 2004, Multiple View Geometry, section 12.2 (linear method)",
+            traits=_MATCHING_TRAITS,
+            solve=triangulate.solve,
+        ),
+        "epipolar_dp": Method(
+            name="epipolar_dp",
+            summary="both centrelines matched along epipolar lines by dynamic programming, smoothing spline",
+            citation="after Hoffmann, Brost, Schaefer, Koch, Bourier, Strobel 2012, Semi-automatic catheter "
+            "reconstruction from two views, MICCAI, LNCS 7511, 584",
+            traits=_MATCHING_TRAITS,
+            solve=epipolar_dp.solve,
+        ),
+        "spline_fit": Method(
+            name="spline_fit",
+            summary="one B-spline in space fitted to the centrelines of all views, from `epipolar_dp`",
+            citation="tubesight; P-splines: Eilers, Marx 1996, Statistical Science 11, 89",
+            traits=MappingProxyType({**_MATCHING_TRAITS, "cameras": "2 or more"}),
+            solve=spline_fit.SplineFit(starter=epipolar_dp.solve),
+        ),
+        **RIVALS,
     }
 )

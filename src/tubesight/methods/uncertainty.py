@@ -37,7 +37,7 @@ def picture_covariance(problem: Problem, fit: Fit) -> Array:
 
 
 def _known(problem: Problem, fit: Fit) -> Array:
-    """Information (P, P) on the parameters beside the rays: priors and the middle of a flat end."""
+    """Information (P, P) on the parameters beside the rays: priors and where a flat or open end is."""
     prior, _ = priors(problem, fit.family)
     if math.isnan(problem.end_mm[0]):
         return np.diag(prior)

@@ -14,10 +14,10 @@ from tubesight.vision.view import View
 
 # Width of a camera's column: two columns fit a full-HD screen.
 _COLUMN_PX = 960
-_HEADER_PX = 96
+_HEADER_PX, _LINE_PX = 96, 30
 # OpenCV draws at 1 / 16 pixel with this many fractional bits.
 _SHIFT = 4
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_FONT, _TEXT = cv2.FONT_HERSHEY_SIMPLEX, 0.62
 
 _EDGES = (255, 190, 60)
 _CENTRELINE = (60, 220, 255)
@@ -34,8 +34,19 @@ def draw_overlay(pair: FramePair, result: Reconstruction, rig: Rig) -> Image:
     Returns
     -------
     Image
-        One column per camera: the whole picture, below it the part with the tube, enlarged; on top the measured
-        values or the reason why there are none.
+        As `draw_views`; on top the measured values or the reason why there are none.
+    """
+    body = draw_views(pair, result, rig, _COLUMN_PX)
+    return np.concatenate([_header(result, body.shape[1]), body])
+
+
+def draw_views(pair: FramePair, result: Reconstruction, rig: Rig, column_px: int) -> Image:
+    """Draw what was found on the photographs: a column of this width per camera.
+
+    Returns
+    -------
+    Image
+        In each column the whole picture, below it the part with the tube, enlarged.
     """
     columns = []
     for name in rig.names:
@@ -43,13 +54,13 @@ def draw_overlay(pair: FramePair, result: Reconstruction, rig: Rig) -> Image:
         curve = _curve_px(result, rig, name)
         image = pair.images[name]
         whole = (0, 0, image.shape[1], image.shape[0])
-        panels = [_panel(image, view, curve, box) for box in (whole, _tube_box(image, view, curve)) if box is not None]
+        boxes = (whole, _tube_box(image, view, curve))
+        panels = [_panel(image, view, curve, box, column_px) for box in boxes if box is not None]
         cv2.putText(panels[0], name, (16, 36), _FONT, 1.0, (255, 255, 255), 2, cv2.LINE_AA)
         columns.append(np.concatenate(panels))
     height = max(len(column) for column in columns)
     padded = [np.pad(column, ((0, height - len(column)), (0, 0), (0, 0))) for column in columns]
-    body = np.concatenate(padded, axis=1)
-    return np.concatenate([_header(result, body.shape[1]), body])
+    return np.concatenate(padded, axis=1)
 
 
 def _curve_px(result: Reconstruction, rig: Rig, name: str) -> Array:
@@ -78,10 +89,10 @@ def _tube_box(image: Image, view: View | None, curve_px: Array) -> _Box | None:
     return int(corner[0]), int(corner[1]), int(corner[0] + size[0]), int(corner[1] + size[1])
 
 
-def _panel(image: Image, view: View | None, curve_px: Array, box: _Box) -> Image:
+def _panel(image: Image, view: View | None, curve_px: Array, box: _Box, column_px: int) -> Image:
     x0, y0, x1, y1 = box
-    scale = _COLUMN_PX / (x1 - x0)
-    size = (_COLUMN_PX, max(round((y1 - y0) * scale), 1))
+    scale = column_px / (x1 - x0)
+    size = (column_px, max(round((y1 - y0) * scale), 1))
     part = cv2.resize(image[y0:y1, x0:x1], size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
     panel = np.ascontiguousarray(cv2.cvtColor(part, cv2.COLOR_GRAY2BGR) if part.ndim == 2 else part, dtype=np.uint8)
 
@@ -115,10 +126,12 @@ def _dots(panel: Image, points_px: Array, colour: tuple[int, int, int]) -> None:
 
 
 def _header(result: Reconstruction, width: int) -> Image:
-    header = np.full((_HEADER_PX, width, 3), 32, np.uint8)
+    lines = _wrapped(_values(result), width - 32)
+    header = np.full((_HEADER_PX + _LINE_PX * (len(lines) - 1), width, 3), 32, np.uint8)
     colour = (140, 230, 140) if result else (110, 160, 255)
     cv2.putText(header, f"{result.frame}   {result.status}", (16, 36), _FONT, 0.9, colour, 2, cv2.LINE_AA)
-    cv2.putText(header, _values(result), (16, 76), _FONT, 0.62, (230, 230, 230), 1, cv2.LINE_AA)
+    for k, line in enumerate(lines):
+        cv2.putText(header, line, (16, 76 + _LINE_PX * k), _FONT, _TEXT, (230, 230, 230), 1, cv2.LINE_AA)
     x = width - 16
     for text, swatch in reversed(_LEGEND):
         x -= cv2.getTextSize(text, _FONT, 0.55, 1)[0][0]
@@ -128,10 +141,22 @@ def _header(result: Reconstruction, width: int) -> Image:
     return header
 
 
-def _values(result: Reconstruction) -> str:
+def _wrapped(parts: list[str], width: int) -> list[str]:
+    """Lines of parts that fit into a width; a part that is wider stays on a line of its own."""
+    lines = [parts[0]]
+    for part in parts[1:]:
+        longer = f"{lines[-1]}   {part}"
+        if cv2.getTextSize(longer, _FONT, _TEXT, 1)[0][0] <= width:
+            lines[-1] = longer
+        else:
+            lines.append(part)
+    return lines
+
+
+def _values(result: Reconstruction) -> list[str]:
     shape = result.shape
     if not result or shape is None:
-        return _ascii("; ".join(result.notes) or result.status.advice)
+        return [_ascii(note) for note in result.notes or (result.status.advice,)]
     x, y, z = shape.tip_mm
     angle = f"{math.degrees(shape.orientation_rad):.2f} deg" if math.isfinite(shape.orientation_rad) else "undefined"
     model = result.curve.model if result.curve is not None else ""
@@ -139,7 +164,7 @@ def _values(result: Reconstruction) -> str:
         f"tip ({x:.2f}, {y:.2f}, {z:.2f}) mm   bending {math.degrees(shape.bending_rad):.2f} deg   orientation {angle}"
         f"   length {shape.length_mm:.2f} mm   {model}, {result.fit_rms_px:.2f} px rms, {result.total_ms:.1f} ms"
     )
-    return _ascii("   ".join([text, *result.notes]))
+    return [_ascii(part) for part in (text, *result.notes)]
 
 
 def _ascii(text: str) -> str:

@@ -69,11 +69,11 @@ def curves_of(found: Sequence[tuple[str, Curve3D]]) -> Curves:
     share = np.linspace(0.0, 1.0, CURVE_POINTS)
     s = np.array([share * curve.length_mm for _, curve in found]).reshape(-1, CURVE_POINTS)
     xyz = np.array([curve.at(row) for (_, curve), row in zip(found, s, strict=True)]).reshape(-1, CURVE_POINTS, 3)
-    sd = np.array([_deviation_mm(curve, share) for _, curve in found]).reshape(-1, CURVE_POINTS)
+    sd = np.array([deviation_mm(curve, share) for _, curve in found]).reshape(-1, CURVE_POINTS)
     return Curves(tuple(frame for frame, _ in found), s, xyz, sd)
 
 
-def _deviation_mm(curve: Curve3D, share: Array) -> Array:
+def deviation_mm(curve: Curve3D, share: Array) -> Array:
     """Root of the trace of the position's covariance at shares of the length (N,); NaN where the curve carries none."""
     if not isinstance(curve, NodeCurve) or not curve.from_picture:
         return np.full_like(share, np.nan)

@@ -15,8 +15,10 @@ from tubesight.simulate.phantom import (
 from tubesight.simulate.render import render, render_background, render_pair
 from tubesight.simulate.rigs import board_views, rig_around
 from tubesight.simulate.scene import Scene
+from tubesight.simulate.variants import VARIANTS, Stage, stage
 
 __all__ = [
+    "VARIANTS",
     "Arc",
     "CurvaturePolynomial",
     "EllipseArc",
@@ -25,12 +27,14 @@ __all__ = [
     "Pieces",
     "Placed",
     "Scene",
+    "Stage",
     "board_views",
     "render",
     "render_background",
     "render_board_pair",
     "render_pair",
     "rig_around",
+    "stage",
     "straight",
     "truth",
 ]

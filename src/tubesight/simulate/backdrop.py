@@ -13,7 +13,7 @@ from tubesight.core import Array, readonly
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.pose import Pose
 from tubesight.simulate.phantom import Placed, straight
-from tubesight.simulate.rays import Window, coverage, dot
+from tubesight.simulate.rays import Window, coverage, dot, plane_points
 from tubesight.simulate.scene import Scene, lambert, light_from_srgb, srgb_from_light
 from tubesight.simulate.sweep import Body, Surface, see
 
@@ -25,6 +25,8 @@ _HOLDER_LENGTH_MM = 150.0
 _HOLDER_TOLERANCE_PX = 0.05
 # Distances of wall and lamp from the tube: those of the shadows in a photograph of a mock-up on a table.
 _WALL_MM, _LAMP_MM = 220.0, 700.0
+# Lines of a printed grid: their thickness as a share of the spacing, and how much light they swallow.
+_LINE_SHARE, _LINE_DARKNESS = 0.08, 0.6
 # Softness of shadows on the wall, px of a picture 1920 wide.
 _SHADOW_BLUR_PX = 14.0
 # Shadows are drawn at a quarter of the size: they hold no detail.
@@ -93,6 +95,17 @@ def _clutter(shape: tuple[int, int], count: int, rng: np.random.Generator) -> Pl
             ends = [tuple(map(int, corners[i])) for i in (0, 2)]
             cv2.line(picture, ends[0], ends[1], colour, int(0.008 * width) + 1, cv2.LINE_AA)
     return light_from_srgb(np.arange(256)).astype(np.float32)[picture]
+
+
+def _grid(camera: Camera, pose: Pose, scene: Scene) -> Plane:
+    """Share of the light (H, W) that a grid of lines on the wall sends back."""
+    width, height = camera.size_px
+    wall_mm = float(pose.translation_mm[2]) + _WALL_MM
+    at = plane_points(camera, Window(0, height, 0, width)) * wall_mm
+    # Distance to the nearest line each way; a line darkens pixels by what it covers of them.
+    off = np.abs(np.remainder(at / scene.grid_mm + 0.5, 1.0) - 0.5) * scene.grid_mm
+    covered = np.clip((_LINE_SHARE / 2 * scene.grid_mm - off) * camera.focal_px / wall_mm + 0.5, 0.0, 1.0)
+    return np.asarray(1 - _LINE_DARKNESS * np.nan_to_num(covered).max(-1), np.float32)
 
 
 def _fall_of_light(shape: tuple[int, int], scene: Scene, rng: np.random.Generator) -> Plane:
@@ -168,6 +181,8 @@ def _drawn(camera: Camera, pose: Pose, scene: Scene, key: tuple[float, ...] | No
         light = _clutter((height, width), scene.clutter, rng)
     else:
         light = cloth.astype(np.float32) * (1 + scene.texture * _grain((height, width), rng))[..., None]
+    if scene.grid_mm:
+        light *= _grid(camera, pose, scene)[..., None]
     light *= _fall_of_light((height, width), scene, rng)[..., None]
     light *= vignette(camera, Window(0, height, 0, width), scene)
     holder = None

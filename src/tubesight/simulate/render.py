@@ -21,6 +21,7 @@ from tubesight.simulate.backdrop import (
     shade,
     vignette,
 )
+from tubesight.simulate.bands import paint_of
 from tubesight.simulate.phantom import Phantom
 from tubesight.simulate.rays import Window, coverage
 from tubesight.simulate.scene import Scene, light_from_srgb, srgb_from_light
@@ -77,7 +78,7 @@ def _draw_tube(
         return
     alpha = coverage(surface.edge) * (1 - holder_covers(back, surface, body.radius_mm))
     lit = holder_shadow(surface, scene, pose, clamp_of(phantom))
-    light = shade(surface, scene, light_from_srgb(scene.tube_bgr), pose, lit)
+    light = shade(surface, scene, paint_of(surface, body, scene, camera, pose), pose, lit)
     paint(levels, camera, scene, surface.window, alpha, light)
 
 

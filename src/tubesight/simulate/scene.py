@@ -43,6 +43,12 @@ class Scene:
         Relative amplitude of the cloth's grain, of the fall of light across the picture, of the corners' darkness.
     clutter
         Number of coloured shapes behind the tube instead of the plain cloth.
+    bands_mm
+        (start, end) by arc length of each band painted on the tube; one that reaches the end covers the tip.
+    band_bgr
+        Colour of the bands.
+    grid_mm
+        Spacing of a grid of dark lines on the wall behind the tube; 0 for none.
     blur_px
         Standard deviation of the Gaussian blur of the optics, in linear light.
     noise_levels
@@ -62,6 +68,9 @@ class Scene:
     gradient: float = 0.25
     vignetting: float = 0.08
     clutter: int = 0
+    bands_mm: tuple[tuple[float, float], ...] = ()
+    band_bgr: Colour = (45.0, 40.0, 200.0)
+    grid_mm: float = 0.0
     blur_px: float = 0.6
     noise_levels: float = 1.5
     seed: int = 0
@@ -69,9 +78,11 @@ class Scene:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.light).all() and np.linalg.norm(self.light) > 0):
             raise ValueError(f"light: expected a direction, got {self.light}")
-        for name in ("blur_px", "noise_levels", "holder_diameter_mm", "clutter", "specular"):
+        for name in ("blur_px", "noise_levels", "holder_diameter_mm", "clutter", "specular", "grid_mm"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name}: expected zero or more, got {getattr(self, name)}")
+        if not all(start < end for start, end in self.bands_mm):
+            raise ValueError(f"bands_mm: expected pairs (start, end) with start < end, got {self.bands_mm}")
 
     @property
     def light_direction(self) -> Array:

@@ -2,47 +2,29 @@
 
 from __future__ import annotations
 
-import re
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 
-from tubesight.core import Board, FramePair, Image, InputError
-from tubesight.files.dataset import list_pictures
-from tubesight.files.images import decode_image, read_image
+from tubesight.core import Board, FramePair, InputError
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.simulate import board_views, render_board_pair, rig_around
-from tubesight.sources.http import HttpPictures
+from tubesight.sources.opening import open_source
+from tubesight.sources.reader import TIMEOUT_S, BrokenPictureError, Picture, Reader, Source, Wanted
 
-# A camera that gives nothing for so long is dead: webcams take up to 3 s for their first picture.
-TIMEOUT_S = 5.0
 # Pictures of free-running cameras are taken for one instant up to this difference: one and a half frames at 30 Hz.
 _SKEW_S = 0.05
 # A stream in which so many pictures in a row are broken is not usable; single ones are, on a busy network.
 _BROKEN_MAX = 10
 # Videos are looked at so many times a second: a board held still is held for longer.
 _LOOKS_PER_S = 8.0
-_VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".mjpg", ".mjpeg", ".m4v")
 # The simulated board rests for some frames at each of its places and takes one to get there.
 _SIM_PLACES, _SIM_REST, _SIM_HZ = 40, 2, 5.0
 _SIM_SIZE = (1280, 720)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """A picture and when it was taken, seconds (of the machine's clock or the video's); NaN where that is not known."""
-
-    image: Image
-    time_s: float
 
 
 class Feed(Protocol):
@@ -77,14 +59,12 @@ class LiveFeed:
     name
         For messages.
     open_camera
-        Called on the thread; returns the function that waits for a picture and the one that lets the camera go.
+        Called on the thread.
     timeout_s
         A camera that gives no picture for so long is dead.
     """
 
-    def __init__(
-        self, name: str, open_camera: Callable[[], tuple[Callable[[], Image], Callable[[], None]]], timeout_s: float
-    ) -> None:
+    def __init__(self, name: str, open_camera: Callable[[], Reader], timeout_s: float) -> None:
         self._name, self._open, self._timeout_s = name, open_camera, timeout_s
         self._newest: Picture | None = None
         self._failure: InputError | None = None
@@ -96,15 +76,16 @@ class LiveFeed:
 
     def _run(self) -> None:
         try:
-            read, close = self._open()
+            reader = self._open()
             try:
-                while not self._ended:
-                    picture = Picture(read(), time.monotonic())
+                for picture in _whole(reader):
+                    if self._ended:
+                        return
                     with self._changed:
                         self._newest = picture
                         self._changed.notify_all()
             finally:
-                close()
+                reader.close()
         except InputError as failure:
             with self._changed:
                 self._failure = failure
@@ -141,8 +122,7 @@ def open_feeds(
     Parameters
     ----------
     sources
-        Per camera: an index or ``/dev/video0``, ``http://...`` (motion JPEG, or a picture each time), a video file, a
-        folder of pictures, or ``sim:`` for a simulated board.
+        Per camera, see `tubesight.sources.opening.open_source`; ``sim:`` is a simulated board here.
     board
         What the simulator shows.
     size_px
@@ -160,7 +140,7 @@ def open_feeds(
             if name in simulated:
                 feeds[name] = _Pulled(_simulated(name, simulated, board, size_px or _SIM_SIZE))
             else:
-                feeds[name] = _open(text, size_px, timeout_s)
+                feeds[name] = _open(text, Wanted(name, size_px, timeout_s=timeout_s))
     except BaseException:
         close_feeds(feeds)
         raise
@@ -173,91 +153,45 @@ def close_feeds(feeds: Mapping[str, Feed]) -> None:
         feed.close()
 
 
-def _open(text: str, size_px: tuple[int, int] | None, timeout_s: float) -> Feed:
-    if text.startswith(("http://", "https://")):
-        stream = HttpPictures(text, timeout_s)
-        return LiveFeed(stream.name, lambda: (_decoder(stream), stream.close), 2 * timeout_s)
-    if re.fullmatch(r"\d{1,3}", text) or text.startswith("/dev/"):
-        return _device(text, size_px, timeout_s)
-    path = Path(text)
-    if path.is_dir():
-        pictures = list_pictures(path)
-        if not pictures:
-            raise InputError(f"{path}: no pictures in this folder; name one that holds a camera's pictures")
-        return _Pulled(Picture(read_image(p), float("nan")) for p in pictures.values())
-    if path.suffix.lower() in _VIDEO_SUFFIXES and path.is_file():
-        return _Pulled(_video(path))
-    what = "no such file or folder" if not path.exists() else "neither a video nor a folder of pictures"
-    raise InputError(f"{text}: {what}; a source is an index, /dev/video0, http://..., a video, a folder or sim:")
+def _open(text: str, wanted: Wanted) -> Feed:
+    source = open_source(text, wanted)
+    if source.live:
+        # A network camera may use its whole time to connect, and again for a picture.
+        return LiveFeed(source.name, source.open, 2 * wanted.timeout_s)
+    return _Pulled(_looks(source))
 
 
-def _decoder(stream: HttpPictures) -> Callable[[], Image]:
-    def read() -> Image:
-        for broken in range(_BROKEN_MAX):
-            data = stream.read()
-            try:
-                return decode_image(data, stream.name)
-            except InputError:
-                if broken == _BROKEN_MAX - 1:
-                    raise
-        raise AssertionError
-
-    return read
-
-
-def _device(text: str, size_px: tuple[int, int] | None, timeout_s: float) -> Feed:
-    place = f"/dev/video{text}" if text.isdecimal() else text
-    linux = sys.platform == "linux"
-    if linux and not Path(place).exists():
-        raise InputError(f"{place}: there is no such camera; `ls /dev/video*` lists those that are there")
-    name = place if linux else f"camera {text}"
-
-    def open_camera() -> tuple[Callable[[], Image], Callable[[], None]]:
-        backend = cv2.CAP_V4L2 if linux else cv2.CAP_ANY
-        device = cv2.VideoCapture(int(text), backend) if text.isdecimal() else cv2.VideoCapture(text, backend)
-        if size_px is not None:
-            # Most cameras give their larger sizes at full rate as motion JPEG only.
-            device.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-            device.set(cv2.CAP_PROP_FRAME_WIDTH, size_px[0])
-            device.set(cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])
-        # A calibration holds for one focus.
-        device.set(cv2.CAP_PROP_AUTOFOCUS, 0)
-
-        def read() -> Image:
-            good, image = device.read()
-            if not good or image is None:
-                raise InputError(f"{name}: the camera gives no pictures; does another program use it?")
-            if size_px is not None and image.shape[1::-1] != tuple(size_px):
-                raise InputError(
-                    f"{name}: gives {image.shape[1]} x {image.shape[0]}, not {size_px[0]} x {size_px[1]}; "
-                    "ask for a size that it has with --size"
-                )
-            return np.asarray(image, dtype=np.uint8)
-
-        return read, device.release
-
-    return LiveFeed(name, open_camera, timeout_s)
+def _whole(reader: Reader) -> Iterator[Picture]:
+    """Pictures of a reader without the broken ones, of which a few in a row may come."""
+    broken = 0
+    while True:
+        try:
+            picture = reader.read()
+        except BrokenPictureError:
+            broken += 1
+            if broken >= _BROKEN_MAX:
+                raise
+            continue
+        if picture is None:
+            return
+        broken = 0
+        yield picture
 
 
-def _video(path: Path) -> Iterator[Picture]:
-    """Frames of a video, `_LOOKS_PER_S` of them."""
-    video = cv2.VideoCapture(str(path))
+def _looks(source: Source) -> Iterator[Picture]:
+    """Pictures of a folder, or `_LOOKS_PER_S` of a video."""
+    reader = source.open()
+    due = 0.0
     try:
-        rate = video.get(cv2.CAP_PROP_FPS)
-        rate = rate if 0 < rate < 1000 else 30.0
-        step = max(round(rate / _LOOKS_PER_S), 1)
-        index = 0
-        while video.grab():
-            if index % step == 0:
-                good, image = video.retrieve()
-                if not good or image is None:
-                    break
-                yield Picture(np.asarray(image, dtype=np.uint8), index / rate)
-            index += 1
-        if index == 0:
-            raise InputError(f"{path}: no picture can be read from this video; convert it, for example to mp4 (H.264)")
+        for picture in _whole(reader):
+            if np.isnan(picture.time_s):
+                yield picture
+            elif picture.time_s >= due:
+                # Half a millisecond for times that are rounded.
+                due = picture.time_s + 1 / _LOOKS_PER_S - 5e-4
+                yield picture
     finally:
-        video.release()
+        reader.close()
 
 
 def _simulated(name: str, names: tuple[str, ...], board: Board, size_px: tuple[int, int]) -> Iterator[Picture]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+import select
 import time
 import urllib.error
 import urllib.parse
@@ -18,6 +19,7 @@ _PICTURE_BYTES = 32 << 20
 _CHUNK_BYTES = 1 << 16
 _BOUNDARY = re.compile(r'boundary="?([^";,]+)"?', re.IGNORECASE)
 _LENGTH = re.compile(rb"^content-length:\s*(\d{1,12})\s*$", re.IGNORECASE | re.MULTILINE)
+_STAMP = re.compile(rb"^x-timestamp:\s*(\d{1,12}(?:\.\d{1,9})?)\s*$", re.IGNORECASE | re.MULTILINE)
 _END_OF_HEADERS = re.compile(rb"\r?\n\r?\n")
 
 
@@ -57,6 +59,8 @@ class HttpPictures:
         self._boundary: bytes | None = None
         self._buffer = bytearray()
         self._deadline = 0.0
+        #: When the last picture was taken, seconds of the server's clock (header ``X-Timestamp``); NaN without.
+        self.stamp_s = float("nan")
 
     def read(self) -> bytes:
         """Return the next picture; raise `InputError` where none arrives whole in time."""
@@ -77,6 +81,20 @@ class HttpPictures:
         except InputError:
             self.close()
             raise
+
+    def more_waits(self) -> bool:
+        """Whether the next picture of a stream has begun to arrive."""
+        if self._response is None or self._boundary is None:
+            return False
+        try:
+            if not self._response.isclosed() and select.select([self._response], [], [], 0.0)[0]:
+                self._buffer += self._response.read1(_CHUNK_BYTES)
+        except (OSError, ValueError, HTTPException):
+            return False
+        # The line end behind a picture and the next delimiter may come with the picture; headers come with the next.
+        place = self._buffer.find(self._boundary)
+        head = _END_OF_HEADERS.search(self._buffer, place) if place >= 0 else None
+        return head is not None and head.end() < len(self._buffer)
 
     def close(self) -> None:
         """Hang up."""
@@ -150,7 +168,9 @@ class HttpPictures:
             found = _END_OF_HEADERS.search(self._buffer, 0, _HEADER_BYTES)
             if found is None and (len(self._buffer) > _HEADER_BYTES or not self._fill()):
                 raise InputError(f"{self.name}: the stream ends or is no motion JPEG; check the address")
-        length = _LENGTH.search(bytes(self._buffer[: found.start()]))
+        head = bytes(self._buffer[: found.start()])
+        length, stamp = _LENGTH.search(head), _STAMP.search(head)
+        self.stamp_s = float(stamp[1]) if stamp is not None else float("nan")
         del self._buffer[: found.end()]
         size = int(length[1]) if length is not None else self._find(b"\r\n" + boundary, _PICTURE_BYTES)
         if size > _PICTURE_BYTES:

@@ -8,8 +8,9 @@ from tubesight.core import Array, Mask
 
 # Binomial smoothing over five samples: a Gaussian of one sample.
 SMOOTHING = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
-# The fall over an edge is measured over this much to both sides of it.
-REACH_PX = 3.0
+# The fall over an edge is measured over this much to both sides of it, and over no more than this share of the width of
+# a thin tube: farther inside lies its other edge.
+REACH_PX, REACH_WIDTHS = 3.0, 0.4
 # Samples along a line: this many over the width of a tube, and how near and far at most.
 SAMPLES_PER_WIDTH, SPACING_MIN_PX, SPACING_MAX_PX = 16.0, 0.5, 1.0
 
@@ -24,13 +25,20 @@ def grid(low: float, high: float, step: float) -> Array:
     return np.asarray(low + step * np.arange(int((high - low) / step) + 2.0))
 
 
-def falls(profile: Array, along: Array) -> tuple[Array, Array, Array, Mask]:
+def reach_of(width_px: float) -> float:
+    """How far to both sides of an edge of a tube of a given width its fall is measured."""
+    return min(REACH_PX, REACH_WIDTHS * width_px)
+
+
+def falls(profile: Array, along: Array, reach_px: float = REACH_PX) -> tuple[Array, Array, Array, Mask]:
     """Falls of profiles (N, L).
 
     Parameters
     ----------
     along
         (L,) places of the samples, equally spaced.
+    reach_px
+        How far to both sides the fall is measured.
 
     Returns
     -------
@@ -47,7 +55,7 @@ def falls(profile: Array, along: Array) -> tuple[Array, Array, Array, Mask]:
     peak = np.zeros(smooth.shape, dtype=bool)
     before, here, after = slope[:, :-2], slope[:, 1:-1], slope[:, 2:]
     peak[:, 1:-1] = (here > before) & (here >= after) & (here > 0)
-    reach = int(REACH_PX / step)
+    reach = int(reach_px / step)
     last = smooth.shape[1] - 1
     index = np.arange(last + 1)
     drop = smooth[:, np.maximum(index - reach, 0)] - smooth[:, np.minimum(index + reach, last)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from tubesight.core import Array
 from tubesight.vision.edges import left_of, profiles
-from tubesight.vision.falls import falls, grid, spacing
+from tubesight.vision.falls import falls, grid, reach_of, spacing
 from tubesight.vision.signal import Signal
 
 # A scan looks this far to both sides of where the edges are expected (widths, pixels); where no pair there is sure, it
@@ -24,8 +24,8 @@ DROP_MIN = 0.2
 # Agreement with the prediction: how far the width and the middle may be off, in widths (and pixels).
 WIDTH_OFF, MIDDLE_OFF = 0.12, 0.25
 OFF_PX = 1.5
-# Narrower pairs are noise.
-WIDTH_MIN_PX = 2.0
+# Narrower pairs are noise. (The likeness of a tube of 2 px, mixed with what is beside it, is this narrow.)
+WIDTH_MIN_PX = 1.2
 # The tube may be hidden in the clamp's shadow or rim: its first pair of edges is looked for from here on, in widths.
 FIRST_WIDTHS, FIRST_STEP, FIRST_COUNT = 0.3, 0.15, 18
 
@@ -92,9 +92,9 @@ def _best_pair(
     """
     along = grid(low, high, spacing(width))
     left = left_of(way)
-    share = profiles(signal, np.stack([middle, middle]), np.stack([left, -left]), along, (0.0,))
+    share = profiles(signal, np.stack([middle, middle]), np.stack([left, -left]), along, 1)
     seen = bool((share > SHARE_SEEN).any())
-    place, drop, _, peak = falls(share, along)
+    place, drop, _, peak = falls(share, along, reach_of(width))
     good = peak & (drop > DROP_MIN)
     if not good.any(1).all():
         return -np.inf, 0.0, 0.0, seen

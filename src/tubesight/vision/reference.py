@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tubesight.core import Array, Image, Tube
+from tubesight.core import Array, Image, Status, Tube, Unmeasurable
 from tubesight.geometry.camera import Camera
 from tubesight.vision.reference_picture import crop_box, isolate, rays_of, threshold, undistort_box, without_background
 from tubesight.vision.reference_tip import TipSearch, find_tip
@@ -54,6 +54,8 @@ class Reference:
         Unmeasurable
             If a step does not find what it looks for.
         """
+        if tube.tip.shape == "open":
+            raise Unmeasurable(Status.TIP_NOT_FOUND, detail="this pipeline needs a tip that is seen")
         base, way = (start.px, start.way) if start is not None else (base_px, None)
         box = crop_box(camera, base, way)
         picture = undistort_box(image, camera, box, self.whole)

@@ -10,25 +10,31 @@ import numpy as np
 from tubesight.core import Array, Image, Status, Tube, Unmeasurable
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.pose import Pose
-from tubesight.vision.ending import FOUND, Ending
-from tubesight.vision.locate import find_tip
+from tubesight.vision.ending import FOUND, Ending, last_way
+from tubesight.vision.follow import follow
+from tubesight.vision.locate import find_tip, open_tip
 from tubesight.vision.search import find_seed
 from tubesight.vision.signal import Signal
 from tubesight.vision.silhouette import signal_of
 from tubesight.vision.stages import Stages, stages
-from tubesight.vision.view import TipView, View
-from tubesight.vision.walker import Track
+from tubesight.vision.view import TipView, View, gap_notes
+from tubesight.vision.walker import Track, walked_edges
 
 # Fewest scans a view needs: below it neither a conic nor a bend can be fitted.
-_SCANS_MIN = 8
+SCANS_MIN = 8
 # Fewest places of a track: with fewer its way is not known.
-_PLACES_MIN = 4
+PLACES_MIN = 4
 # A base that is known to be near is believed where it is nearer to one end than this share of the other end's distance.
 _NEARER = 0.5
+# Far above the picture: the upper end of a tube is nearer to it than the lower one.
+_ABOVE = np.array([np.nan, -1e9])
 # The start of a free tube is looked for within this many widths of the first pair of edges.
 _BEFORE_WIDTHS = 3.0
+# The colours just inside of an edge of a sharp picture are those 1 to 2 px from it: a tube needs more than twice that
+# much room. Edges of thinner ones are those of the walk, of which a whole row may be off by so much.
+_THIN_PX, _WALKED_PX = 6.0, 0.1
 # Near the tip (widths) scans count only if they lie before it, by so many pixels and, at a flat end, widths.
-_NEAR_WIDTHS, _ROOM_PX, _ROOM_FLAT_WIDTHS = 1.5, 2.0, 0.15
+NEAR_WIDTHS, ROOM_PX, ROOM_FLAT_WIDTHS = 1.5, 2.0, 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,23 +96,51 @@ def see(
     """
     run = stages()
     if start is not None:
+        if run.see_from_base is not None:
+            view = run.see_from_base(name, image, background, camera, tube, start.px, start.way, start.width_px)
+            if view is not None:
+                return view
         signal, track = _from_base(run, image, background, start)
+        if tube.tip.shape == "open":
+            return _open_view(name, run, camera, *follow(run, image, background, signal, track), start.px)
         base = start.px
-        edges, blur, doubt = run.measure(signal, track)
+        edges, blur, doubt = _measured(run, signal, track)
         tip, ending, radius = find_tip(run, signal, camera, tube, track, blur)
     else:
-        signal, track, (tip, ending, radius) = _from_middle(run, image, background, camera, tube, base_px)
+        signal, last, forward = _both_ways(run, image, background, resume=tube.tip.shape == "open")
+        if tube.tip.shape == "open":
+            signal, track = _from_nearer(signal, last, forward, base_px)
+            return _open_view(name, run, camera, signal, track, _first_of(run, signal, track))
+        track, (tip, ending, radius) = _to_tip(run, signal, forward, camera, tube, base_px)
         base = _first_of(run, signal, track)
-        edges, blur, doubt = run.measure(signal, track)
-    room = _ROOM_PX + (radius if tube.tip.shape == "ball" else 0.0)
+        edges, blur, doubt = _measured(run, signal, track)
+    room = ROOM_PX + (radius if tube.tip.shape == "ball" else 0.0)
     if tube.tip.shape == "flat":
-        room += _ROOM_FLAT_WIDTHS * ending.width_px
-    near = _NEAR_WIDTHS * ending.width_px + room
+        room += ROOM_FLAT_WIDTHS * ending.width_px
+    near = NEAR_WIDTHS * ending.width_px + room
     edges, unit, rays, centreline, first, rough = run.tube_rays(camera, edges, ending.heading, tip.px, near, room, base)
-    if len(edges) < _SCANS_MIN:
+    if len(edges) < SCANS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail=f"{len(edges)} scans")
-    notes = tuple(f"bridged a gap of {g:.1f} widths" for g in track.gaps)
-    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, notes)
+    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, gap_notes(track.gaps))
+
+
+def _open_view(name: str, run: Stages, camera: Camera, signal: Signal, track: Track, base: Array) -> View:
+    """View of a tube whose end is not looked for: its last scan stands for the tip."""
+    edges, blur, doubt = _measured(run, signal, track)
+    last, heading, _ = last_way(track.middle_px)
+    edges, unit, rays, centreline, first, rough = run.tube_rays(camera, edges, heading, last, 0.0, 0.0, base)
+    if len(edges) < SCANS_MIN:
+        raise Unmeasurable(Status.TOO_FEW_POINTS, detail=f"{len(edges)} scans")
+    tip = open_tip(rays[-1], centreline[-1])
+    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, gap_notes(track.gaps))
+
+
+def _measured(run: Stages, signal: Signal, track: Track) -> tuple[Array, float, Array]:
+    """Edges, blur and doubts of a track; those of the walk where the tube is too thin to be measured."""
+    edges, blur, doubt = run.measure(signal, track)
+    if len(edges) >= SCANS_MIN or float(np.median(track.width_px)) > _THIN_PX:
+        return edges, blur, doubt
+    return walked_edges(track), blur, np.full(2, _WALKED_PX)
 
 
 def _from_base(run: Stages, image: Image, background: Image | None, start: Start) -> tuple[Signal, Track]:
@@ -118,17 +152,15 @@ def _from_base(run: Stages, image: Image, background: Image | None, start: Start
     track = run.walk_from_base(signal, start.px, start.way, start.width_px)
     if track is None:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="no pair of edges beside the base")
-    if len(track.middle_px) < _PLACES_MIN:
+    if len(track.middle_px) < PLACES_MIN:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="its edges are lost right after the base")
     return signal, track
 
 
-def _from_middle(
-    run: Stages, image: Image, background: Image | None, camera: Camera, tube: Tube, base_px: Array | None
-) -> tuple[Signal, Track, tuple[TipView, Ending, float]]:
-    """Find the tube, walk from its middle to both ends, and take for the tip the end that looks like one.
+def _both_ways(run: Stages, image: Image, background: Image | None, resume: bool) -> tuple[Signal, Signal, Track]:
+    """Find the tube and walk from its middle to both ends; signals of its first and last piece, and the track.
 
-    Where both do, the base is the end nearer to `base_px`, or else the upper one.
+    With `resume` the colours may change along the tube.
     """
     seed = find_seed(image, background)
     signal = signal_of(image, background, run.learn(image, background, seed.px, seed.way, seed.width_px))
@@ -136,24 +168,50 @@ def _from_middle(
     if found is None:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="what stands out has no two parallel edges")
     ahead, behind = (run.walk(signal, found[0], way, found[1]) for way in (seed.way, -seed.way))
+    first = last = signal
+    if resume:
+        last, ahead = follow(run, image, background, signal, ahead)
+        first, behind = follow(run, image, background, signal, behind)
     forward = Track(
         np.concatenate([behind.middle_px[:0:-1], ahead.middle_px]),
         np.concatenate([behind.width_px[:0:-1], ahead.width_px]),
         behind.gaps + ahead.gaps,
     )
-    if len(forward.middle_px) < _PLACES_MIN:
+    if len(forward.middle_px) < PLACES_MIN:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="the edges of what stands out are soon lost")
-    backward = Track(forward.middle_px[::-1], forward.width_px[::-1], forward.gaps)
-    hint = np.array([np.nan, -1e9]) if base_px is None else base_px
+    return first, last, forward
+
+
+def _reversed(track: Track) -> Track:
+    return Track(track.middle_px[::-1], track.width_px[::-1], track.gaps)
+
+
+def _from_nearer(first: Signal, last: Signal, forward: Track, base_px: Array | None) -> tuple[Signal, Track]:
+    """Signal and track from the end that is clearly nearer to `base_px`, or else the upper one."""
+    hint = _ABOVE if base_px is None else base_px
+    ahead, back = (_distance(forward.middle_px[k], hint) for k in (0, -1))
+    if base_px is not None and not min(ahead, back) < _NEARER * max(ahead, back):
+        raise Unmeasurable(Status.BASE_HIDDEN, detail="no end of the tube is near the base; mark its base (--base)")
+    return (first, forward) if ahead <= back else (last, _reversed(forward))
+
+
+def _to_tip(
+    run: Stages, signal: Signal, forward: Track, camera: Camera, tube: Tube, base_px: Array | None
+) -> tuple[Track, tuple[TipView, Ending, float]]:
+    """Take for the tip the end that looks like one.
+
+    Where both do, the base is the end nearer to `base_px`, or else the upper one.
+    """
+    hint = _ABOVE if base_px is None else base_px
     _, blur, _ = run.measure(signal, forward)
-    tracks = sorted((forward, backward), key=lambda t: _distance(t.middle_px[0], hint))
+    tracks = sorted((forward, _reversed(forward)), key=lambda t: _distance(t.middle_px[0], hint))
     near, far = (_distance(t.middle_px[0], hint) for t in tracks)
     if base_px is not None and near < _NEARER * far:
         tracks = tracks[:1]
     failure = Unmeasurable(Status.TIP_NOT_FOUND)
     for track in tracks:
         try:
-            return signal, track, find_tip(run, signal, camera, tube, track, blur)
+            return track, find_tip(run, signal, camera, tube, track, blur)
         except Unmeasurable as caught:
             failure = caught
     raise failure

@@ -25,7 +25,7 @@ from tubesight.vision.signal import Signal
 STEP_WIDTHS = 0.75
 STEP_MIN_PX, STEP_MAX_PX = 4.0, 32.0
 # A gap (something across the tube, a highlight) is coasted over for this many widths.
-GAP_WIDTHS = 2.5
+GAP_WIDTHS, GAP_MIN_PX = 2.5, 30.0
 MAX_STEPS = 2000
 # The way is a parabola through this many last places (a line through fewer than five), older ones weighing less: by
 # this share of their number each step counts 1 / e.
@@ -101,7 +101,7 @@ def walk(signal: Signal, start_px: Array, direction: Array, width_px: float) -> 
                 alone = False
             stride = step
             waiting = place - (places[-1] if places else 0.0)
-            if waiting > GAP_WIDTHS * width:
+            if waiting > max(GAP_WIDTHS * width, GAP_MIN_PX):
                 break
         place += stride
     return Track(np.array(middles).reshape(-1, 2), np.array(widths), tuple(g for g in gaps if g > 1.0))
@@ -151,6 +151,14 @@ def measure(signal: Signal, track: Track) -> tuple[Array, float, Array]:
     good: Mask = np.asarray(np.isfinite(offset).all(1) & (np.nan_to_num(drop) > DROP_MIN).all(1))
     good[good] = _in_line((offset + half[:, None])[good])
     return edges[good], blur, np.array([e.doubt_px for e in found])
+
+
+def walked_edges(track: Track) -> Array:
+    """Edges (N, 2, 2), left and right, as the walk found them: good to a third of a pixel, also on very thin tubes."""
+    left = left_of(np.gradient(track.middle_px, axis=0))
+    left /= np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-9)
+    half = track.width_px[:, None] / 2
+    return np.stack([track.middle_px + half * left, track.middle_px - half * left], 1)
 
 
 def _scans(track: Track) -> tuple[Array, Array, Array]:

@@ -1,0 +1,1 @@
+"""``tubesight compare``: all methods on identical pictures, judged by the truth."""

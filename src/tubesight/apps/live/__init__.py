@@ -1,0 +1,1 @@
+"""``tubesight live`` and what belongs to it: measuring while cameras run, recording, and replay."""

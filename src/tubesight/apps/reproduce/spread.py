@@ -1,0 +1,69 @@
+"""A study's tasks, done once: what was done before an interruption is not done again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import tubesight
+from tubesight.apps.pool import Pool
+from tubesight.files.nested import plain
+from tubesight.files.safe import write_atomic
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+Progress = Callable[[str, int, int], None]
+"""Called with the study, how many tasks are done and how many there are."""
+
+
+class Remembered:
+    """A pool that keeps the result of each task in a file and does no task twice.
+
+    Parameters
+    ----------
+    folder
+        Holds one JSON file a task, named by function, task and source of the package: other code, other results.
+        Studies that have a task in common share it.
+    pool
+        Does what is not there yet.
+    """
+
+    def __init__(self, folder: Path, pool: Pool, progress: Progress = lambda study, done, total: None) -> None:
+        self._folder = folder
+        self._pool = pool
+        self._progress = progress
+
+    def __call__(self, study: str, function: Callable[[Task], Result], tasks: Sequence[Task]) -> list[Result]:
+        """Return results in the order of the tasks, see `tubesight.apps.reproduce.study.Context.map`."""
+        paths = [self._folder / f"{_key(function, task)}.json" for task in tasks]
+        results = {i: json.loads(path.read_bytes()) for i, path in enumerate(paths) if path.is_file()}
+        self._progress(study, len(results), len(tasks))
+        missing = [i for i in range(len(tasks)) if i not in results]
+        for done, result in self._pool(function, [tasks[i] for i in missing]):
+            # Fresh results go through JSON as kept ones do, so that both are equal.
+            text = json.dumps(plain(result))
+            write_atomic(paths[missing[done]], text)
+            results[missing[done]] = json.loads(text)
+            self._progress(study, len(results), len(tasks))
+        return [cast(Result, results[i]) for i in range(len(tasks))]
+
+
+def _key(function: Callable[..., object], task: Any) -> str:
+    """Name of a task's file."""
+    parts = (_source(), function.__module__, function.__qualname__, json.dumps(plain(asdict(task)), sort_keys=True))
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
+
+
+@cache
+def _source() -> str:
+    """Hash of the package's source."""
+    root = Path(tubesight.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,1 @@
+"""The viewer in the browser: what the cameras see and what is measured."""

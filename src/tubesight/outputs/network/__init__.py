@@ -1,0 +1,1 @@
+"""Results over the network: OpenIGTLink, JSON over WebSocket and UDP; on this machine alone unless asked otherwise."""
