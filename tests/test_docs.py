@@ -10,6 +10,7 @@ import pytest
 import typer
 
 from small_set import write_small_set
+from tubesight.apps.planning.config import load_plan
 from tubesight.apps.run_config import load_run_config
 from tubesight.apps.scene_file import load_scene
 from tubesight.cli.main import app
@@ -115,6 +116,8 @@ def test_example_files_load(page: Path, tmp_path: Path) -> None:
             load_scene(path)
         elif "rig_path:" in example:
             load_run_config(path)
+        elif "workspace:" in example:
+            load_plan(path)
         elif "cameras:" in example:
             load_rig(path)
         elif "views:" in example:

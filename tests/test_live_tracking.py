@@ -221,13 +221,13 @@ def test_the_watch_over_the_rig_says_what_it_cannot_see(seen: tuple[list[object]
 
 
 def test_a_rig_that_was_off_at_the_start_is_told() -> None:
-    health = Health({"left": replace(Mean(), value=3.0, reference=3.0, count=200)})
+    health = Health(side_px={"left": replace(Mean(), value=3.0, reference=3.0, count=200)})
     assert "not as calibrated" in verdict(health, rig_around(90.0))
 
 
 def test_a_tube_that_is_clamped_anew_is_not_blamed_on_one_camera() -> None:
     mean = Mean(value=2.0, reference=0.0, count=200)
-    said = verdict(Health({"left": mean, "right": mean}), rig_around(90.0))
+    said = verdict(Health(side_px={"left": mean, "right": mean}), rig_around(90.0))
     assert "the clamp moved, or several cameras did" in said
 
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tubesight.core import Tip, Tube, Unmeasurable
 from tubesight.core.kernels import COMPILED
 from tubesight.geometry.camera import Camera
-from tubesight.vision import falls, kernels, math_kernels, pairs
+from tubesight.vision import falls, line_kernels, math_kernels, pairs
 from tubesight.vision.ending import BORDER, FOUND
 from tubesight.vision.see import Start, see
 from tubesight.vision.signal import Signal, planes, sample_across
@@ -157,7 +157,7 @@ def _sample_line(  # type: ignore[no-untyped-def]
     image, origin, way, bend, low, step, lines, at, out, row
 ) -> None:
     """Enter the compiled sampler from Python."""
-    kernels.sample_line(image, origin, way, bend, low, step, lines, at, out, row)
+    line_kernels.sample_line(image, origin, way, bend, low, step, lines, at, out, row)
 
 
 @pytest.mark.parametrize("lines", [1, 2, 3])

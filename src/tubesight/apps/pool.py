@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from threading import Thread
 from typing import Any, Protocol, TypeVar
 
 import cv2
@@ -78,9 +79,18 @@ def _here(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator
 
 
 def _quiet_worker() -> None:
-    """Leave an interruption to the parent, and the other cores to the other workers."""
+    """Leave an interruption to the parent, end with it, and leave the other cores to the other workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
+
+
+def _end_with_parent() -> None:
+    """Wait for the end of the parent: one that is killed cannot tell its workers to stop."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 class _Processes:
@@ -117,7 +127,7 @@ def _cluster(address: str) -> Iterator[Pool]:
             # A task whose worker dies is done by another one: Dask sees to that.
             futures = client.map(function, tasks, pure=False)
             index_of = {future.key: index for index, future in enumerate(futures)}
-            for future, result in distributed.as_completed(futures, with_results=True):
+            for future, result in distributed.as_completed(futures, loop=client.loop, with_results=True):
                 yield index_of[future.key], result
 
         yield pool

@@ -7,9 +7,13 @@ from typing import Annotated
 
 import typer
 
+from tubesight.apps.reproduce.registry import STUDIES
+
 
 def command(
-    studies: Annotated[list[str] | None, typer.Argument(metavar="[STUDY]...", help="Studies; all without one.")] = None,
+    studies: Annotated[
+        list[str] | None, typer.Argument(metavar="[STUDY]...", help=f"Of {', '.join(STUDIES)}; all without one.")
+    ] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for report, data and figures.")] = Path("reproduced"),
     quick: Annotated[bool, typer.Option("--quick", help="Coarse steps: minutes instead of most of an hour.")] = False,
     workers: Annotated[
@@ -23,8 +27,7 @@ def command(
 ) -> None:
     """Repeat the figures and tables of Dalvand, Nahavandi and Howe (2016) on rendered photographs.
 
-    Writes a report, the data and a summary. Studies: figure2, figure3, figure4, experiment1, experiment2, table1,
-    timing, viewing_angle, sensitivity.
+    Writes a report that needs no other file, the data behind it, and a summary for programs.
 
         tubesight reproduce experiment1 --quick -o reproduced
     """

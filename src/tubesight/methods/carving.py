@@ -158,7 +158,7 @@ def _from_base(centres: Array, voxel_mm: float, base_mm: Array) -> tuple[Index, 
     # Declared for fewer kinds of sparse matrices than it takes.
     graph: Any = coo_matrix((length, (rows, columns)), shape=(len(key), len(key))).tocsr()
     first = int(np.linalg.norm(centres[order] - base_mm, axis=1).argmin())
-    distance = np.asarray(dijkstra(graph, directed=False, indices=first), np.float64)
+    distance = np.asarray(dijkstra(graph, directed=False, indices=np.array([first]))[0])
     reached = np.isfinite(distance)
     return order[reached], distance[reached]
 

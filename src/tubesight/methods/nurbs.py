@@ -33,7 +33,7 @@ _DEGREE = 3
 # Control points of the polygon to begin with, and at most.
 _COARSE, _FINEST = 4, 14
 # Samples of the curve, and of each normal: half a pixel apart while it is near.
-_SAMPLES, _SPACING_PX = 81, 0.5
+_SAMPLES, _SPACING_PX = 61, 0.5
 # The search reaches this share of the curve's image while the polygon is coarse, less as it gets finer, and never less
 # than so many widths.
 _FAR_SHARE, _NEAR_WIDTHS = 0.2, 1.2
@@ -48,7 +48,7 @@ _TENSION = 0.03
 # in each view.
 _HOLD, _HOLD_ENDS = 0.3, 3.0
 # Gauss-Newton steps between insertions of knots, and the movement (mm) that ends them.
-_STEPS, _CONVERGED_MM = 12, 0.005
+_STEPS, _CONVERGED_MM = 8, 0.02
 # Residuals above this many deviations count less (Huber); no deviation is below this many pixels.
 _HUBER, _SD_MIN_PX = 1.5, 0.02
 # Fewest edges found, as a share of the samples in all views, and largest rms.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from tubesight.methods import arcs_planar, carving, epipolar, markers, markers_arcs, nurbs, som
+from tubesight.methods import affine_shape, arcs_planar, carving, epipolar, markers, markers_arcs, nurbs, som, symmetric
 from tubesight.methods.method import Method
 from tubesight.vision.bands import Bands
 from tubesight.vision.region import see_region
@@ -154,6 +154,46 @@ RIVALS: Mapping[str, Method] = MappingProxyType(
             solve=som.solve,
             see=see_region,
             given=("initial guess",),
+        ),
+        "affine_shape": Method(
+            name="affine_shape",
+            summary="corresponding places of uncalibrated pictures of one curve by factorisation, then triangulated",
+            citation="after Berthilsson, Astrom 1997, Reconstruction of 3D curves from 2D images using affine shape "
+            "methods for curves, CVPR, 476",
+            traits=MappingProxyType(
+                {
+                    "cameras": "3 or more, here 4, calibrated for the scale alone",
+                    "markers": "none",
+                    "physical grid": "none",
+                    "initial guess": "none",
+                    "circular arcs": "not needed: smoothing spline",
+                    "tip": "yes",
+                    "3-D": "yes",
+                }
+            ),
+            solve=affine_shape.solve,
+            given=("4 views",),
+            scene="four cameras",
+        ),
+        "symmetric": Method(
+            name="symmetric",
+            summary="a mirror-symmetric curve and its reflection as a stereo pair, for the plane that suits two views",
+            citation="after Hong, Ma, Yu 2004, Reconstruction of 3-D symmetric curves from perspective images without "
+            "discrete features, ECCV, LNCS 3023, 533",
+            traits=MappingProxyType(
+                {
+                    "cameras": "2, off the mirror plane",
+                    "markers": "none",
+                    "physical grid": "none",
+                    "initial guess": "none",
+                    "circular arcs": "needed, or another mirror-symmetric curve",
+                    "tip": "yes: the mirror image of the base",
+                    "3-D": "yes",
+                }
+            ),
+            solve=symmetric.solve,
+            given=("mirror symmetry",),
+            scene="low pair",
         ),
     }
 )

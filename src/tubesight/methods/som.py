@@ -34,8 +34,9 @@ _DRAWS = 12_000
 _STEP, _REACH = (0.5, 0.02), (6.0, 0.8)
 # Deviation of a neuron at the end, as a share of the tube's radius: the last step times half a width.
 _SD_RADII = 0.05
-# Largest rms as a share of the tube's width: the chain lies in the silhouettes, or it has been caught elsewhere.
-_OFF_WIDTHS = 0.3
+# Largest rms, px and as a share of the tube's width: the chain lies in the silhouettes but for its ends, or it has been
+# caught elsewhere.
+_OFF_PX, _OFF_WIDTHS = 4.0, 0.3
 _SEED = 0
 
 
@@ -74,7 +75,7 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
     radius = widths[first] / 2 * depth / rig.cameras[first].focal_px
     curve = smoothing(chain, place, np.full(_NEURONS, _SD_RADII * radius))
     rms = reprojection_rms_px(curve, views, rig)
-    if not rms <= _OFF_WIDTHS * min(widths.values()):
+    if not rms <= max(_OFF_PX, _OFF_WIDTHS * min(widths.values())):
         raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {rms:.0f} px: the chain missed a part of the tube")
     return curve
 

@@ -23,7 +23,8 @@ _SECTIONS, _MARKS = 3, 3
 _GRID_MM = 20.0
 # Angle between cameras that see the same thing side by side.
 _NEAR_RAD = np.radians(2.0)
-# Every other camera of a ring stands so much lower and looks up, so that no two see the same silhouette.
+# A low pair and every other camera of a ring stand so much lower and look up: off the plane across the tube's middle,
+# and so that no two cameras of a ring see the same silhouette.
 _LOWER_RAD = np.radians(20.0)
 
 
@@ -43,7 +44,8 @@ def stage(variant: str, rig: Rig, phantom: Phantom, scene: Scene | None = None) 
     variant
         ``plain``: as it is. ``bands``: ten bands along the tube, the last at its tip. ``sections``: a band at the end
         of each section. ``grid``: three bands on each section, and a grid on the wall. ``near pair``: two cameras two
-        degrees apart. ``four cameras``, ``eight cameras``: on half a circle about the tube, all alike.
+        degrees apart. ``low pair``: the first two cameras, lowered by 20 degrees to look up. ``four cameras``,
+        ``eight cameras``: on half a circle about the tube, all alike.
 
     Raises
     ------
@@ -93,6 +95,12 @@ def _near_pair(rig: Rig, phantom: Phantom, scene: Scene) -> Stage:
     return Stage(Rig(cameras, {one: first, other: _moved(first, target, _NEAR_RAD, 0.0)}, rig.base_frame), scene)
 
 
+def _low_pair(rig: Rig, phantom: Phantom, scene: Scene) -> Stage:
+    target = phantom.at(np.array(phantom.length_mm / 2))
+    poses = {name: _moved(rig.camera_from_base[name], target, 0.0, _LOWER_RAD) for name in rig.names[:2]}
+    return Stage(Rig({name: rig.cameras[name] for name in poses}, poses, rig.base_frame), scene)
+
+
 def _ring(count: int) -> Callable[[Rig, Phantom, Scene], Stage]:
     def ring(rig: Rig, phantom: Phantom, scene: Scene) -> Stage:
         return Stage(_ring_of(rig, phantom, count), scene)
@@ -124,6 +132,7 @@ VARIANTS: Mapping[str, Callable[[Rig, Phantom, Scene], Stage]] = MappingProxyTyp
         "sections": _sections,
         "grid": _grid,
         "near pair": _near_pair,
+        "low pair": _low_pair,
         "four cameras": _ring(4),
         "eight cameras": _ring(8),
     }

@@ -1,13 +1,15 @@
 """Whether the cameras stand where they stood: watched by what the tube itself shows, frame by frame.
 
-Two kinds of residuals are followed, both from the views alone, so that they are there also where no shape is:
+Three kinds of residuals are followed:
 
-- ``side``: how far beside the projected clamp the centreline of one camera's silhouette begins, px. It is of that
-  camera alone.
+- ``base``: signed distance of one camera's silhouette from the fitted curve, near the clamp, px. The curve has to leave
+  the clamp where the rig has it: a camera that moved shows there first, and in its own picture alone.
+- ``side``: how far beside the projected clamp the centreline of one camera begins, px; coarser, but there also where no
+  shape was measured.
 - ``epipolar``: the signed distance of the tip from its epipolar line between two cameras, px (with x the pixel's ray:
   ``f x_a^T E x_b / sqrt(|(E x_b)_12|^2 + |(E^T x_a)_12|^2)``).
 
-Neither changes with the tube's shape, and a camera that moves changes at least one of them, but for the motions that
+None changes much with the tube's shape, and a camera that moves changes at least one of them, but for the motions that
 `blind_spots` computes.
 """
 
@@ -17,10 +19,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 
 from tubesight.core import Array
+from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.sensor import Reconstruction
@@ -28,19 +32,26 @@ from tubesight.vision.view import View
 
 # A residual is averaged over so many frames by forgetting; its reference over so many from the start.
 _MEMORY, _REFERENCE = 50, 60
-# A change of a mean that is a motion: simulated tubes of all shapes keep within 0.28 px of each other at rest, and 0.2
-# degrees of turn about any one of a camera's axes change a residual by 0.55 px or more at 720p.
-_LIMIT_PX = 0.35
+# A change of a mean that is a motion, by residual. Of simulated tubes of all shapes at rest (0 to 86 degrees, 720p) the
+# base stays within 0.08 px of its median, the side within 0.5 px, the tip within 0.16 px; 0.2 degrees of turn about any
+# one axis of a camera change the base by 0.15 px or more, or the tip by 1.9 px.
+_BASE_PX, _SIDE_PX, _EPIPOLAR_PX = 0.13, 1.0, 0.35
+# Of what the tube's base is moved in a picture, the fit leaves this share as a residual: 0.28 to 0.34, measured.
+_LEFT_BY_FIT = 0.28
 # A residual that large at the start is a camera that moved since the calibration: careful rigs stay below 1 px.
 _START_LIMIT_PX = 2.0
 # One frame counts at most so much, so that a misread frame does not look like a motion.
 _CLIP_PX = 1.5
-# Share of the centreline at the base through which a parabola is laid, and scans it needs.
-_BASE_SHARE, _SCANS_MIN = 0.25, 6
+# Share of the centreline at the base that is compared with the curve, and through which a parabola is laid; scans.
+_NEAR, _PARABOLA, _SCANS_MIN = 1 / 6, 0.25, 6
+# Points of the projected curve that its distance is taken from: one each pixel or two.
+_CURVE_POINTS = 300
 # What a monitor is asked to see.
 _TURN_RAD, _SHIFT_MM = math.radians(0.2), 2.0
 # One explanation is better than another where it misses the change of length by this share of the other's miss.
 _BETTER = 0.5
+
+_Key = TypeVar("_Key", str, tuple[str, str])
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +86,7 @@ class Health:
 
     Attributes
     ----------
-    side_px
+    base_px, side_px
         By camera; empty for a tube that is not clamped.
     epipolar_px
         By pair of cameras.
@@ -85,6 +96,7 @@ class Health:
         (3,) where the tip was last.
     """
 
+    base_px: Mapping[str, Mean] = field(default_factory=dict)
     side_px: Mapping[str, Mean] = field(default_factory=dict)
     epipolar_px: Mapping[tuple[str, str], Mean] = field(default_factory=dict)
     length_mm: Mean = field(default_factory=Mean)
@@ -102,10 +114,28 @@ def observe(health: Health, result: Reconstruction, rig: Rig, clamped: bool) -> 
         value = epipolar_px(rig, a, b, result.views[a].tip.axis, result.views[b].tip.axis)
         epipolar[a, b] = epipolar.get((a, b), Mean()).add(value, _CLIP_PX)
     health = replace(health, side_px=side, epipolar_px=epipolar)
-    if result and result.shape is not None:
+    if result and result.shape is not None and result.curve is not None:
+        if clamped:
+            base = dict(health.base_px)
+            for name, view in result.views.items():
+                base[name] = base.get(name, Mean()).add(base_px(view, result.curve, rig), _CLIP_PX)
+            health = replace(health, base_px=base)
         length = health.length_mm.add(result.shape.length_mm, math.inf)
         health = replace(health, length_mm=length, tip_mm=result.shape.tip_mm)
     return health
+
+
+def base_px(view: View, curve: Curve3D, rig: Rig) -> float:
+    """Mean signed distance of a centreline from the projected curve near its base, px."""
+    line = rig.project(view.camera, curve.at(np.linspace(0.0, curve.length_mm, _CURVE_POINTS)))
+    seen = view.centreline_px[: max(int(len(view.centreline_px) * _NEAR), _SCANS_MIN)]
+    if not np.isfinite(line).all():
+        return math.nan
+    nearest = np.linalg.norm(seen[:, None] - line[None, : _CURVE_POINTS // 2], axis=2).argmin(1)
+    along = np.gradient(line, axis=0)[nearest]
+    off = seen - line[nearest]
+    across = (off[:, 1] * along[:, 0] - off[:, 0] * along[:, 1]) / np.linalg.norm(along, axis=1)
+    return float(across.mean())
 
 
 def side_px(view: View, rig: Rig) -> float:
@@ -113,7 +143,7 @@ def side_px(view: View, rig: Rig) -> float:
     name = view.camera
     base, ahead = rig.project(name, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
     along = (ahead - base) / np.linalg.norm(ahead - base)
-    count = max(int(len(view.centreline_px) * _BASE_SHARE), _SCANS_MIN)
+    count = max(int(len(view.centreline_px) * _PARABOLA), _SCANS_MIN)
     off = view.centreline_px[:count] - base
     if len(off) < _SCANS_MIN or not np.isfinite(off).all():
         return math.nan
@@ -132,20 +162,25 @@ def epipolar_px(rig: Rig, a: str, b: str, ray_a: Array, ray_b: Array) -> float:
 
 def verdict(health: Health, rig: Rig) -> str:
     """Say which camera moved, in a sentence; nothing while all residuals are where they were."""
-    late = {name: mean.change for name, mean in health.side_px.items() if abs(mean.change) > _LIMIT_PX}
-    lines = {pair: mean.change for pair, mean in health.epipolar_px.items() if abs(mean.change) > _LIMIT_PX}
-    if not late and not lines:
+    off = {name: mean.change / _LEFT_BY_FIT for name, mean in _beyond(health.base_px, _BASE_PX).items()}
+    off |= {name: mean.change for name, mean in _beyond(health.side_px, _SIDE_PX).items()}
+    lines = {pair: mean.change for pair, mean in _beyond(health.epipolar_px, _EPIPOLAR_PX).items()}
+    if not off and not lines:
         return _at_start(health)
-    if late and len(late) == len(health.side_px) > 1:
-        return f"{_list(late)}: the tube's base is elsewhere in all pictures: the clamp moved, or several cameras did"
-    if late:
-        return f"{_list(late)} moved: the tube's base is {_list_px(late)} beside where it was"
+    if off and len(off) == len(health.side_px) > 1:
+        return f"{_list(off)}: the tube's base is elsewhere in all pictures: the clamp moved, or several cameras did"
+    if off:
+        return f"{_list(off)} moved: the tube's base is about {_list_px(off)} beside where it was"
     common = [name for name in rig.names if all(name in pair for pair in lines)]
     if len(common) == 1:
         return f"{common[0]} moved: the tip is {_list_px(lines)} off its epipolar lines"
     named = _by_length(health, rig, lines)
     which = f"{named} probably moved" if named else f"{' or '.join(common or rig.names)} moved"
     return f"{which}: the tip is {_list_px(lines)} off its epipolar line"
+
+
+def _beyond(means: Mapping[_Key, Mean], limit_px: float) -> dict[_Key, Mean]:
+    return {key: mean for key, mean in means.items() if abs(mean.change) > limit_px}
 
 
 def _at_start(health: Health) -> str:
@@ -201,10 +236,10 @@ def blind_spots(rig: Rig, tip_mm: Array, clamped: bool) -> tuple[str, ...]:
         for dof in range(6):
             turn, axis = dof < 3, "xyz"[dof % 3]
             amount = _TURN_RAD if turn else _SHIFT_MM
-            shown = _shown_px(rig, _moved(rig, name, dof, amount), name, tip_mm, clamped)
-            if shown <= _LIMIT_PX:
+            shown = _shown(rig, _moved(rig, name, dof, amount), name, tip_mm, clamped)
+            if shown <= 1.0:
                 what = "turn about" if turn else "shift along"
-                least = amount * _LIMIT_PX / shown if shown > 0 else math.inf
+                least = amount / shown if shown > 0 else math.inf
                 size = f"{math.degrees(least):.1f} degrees" if turn else f"{least:.0f} mm"
                 said.append(f"{name}: a {what} its {axis} axis below {size}")
     return tuple(said)
@@ -218,19 +253,19 @@ def _moved(rig: Rig, name: str, dof: int, amount: float) -> Rig:
     return Rig(rig.cameras, {**rig.camera_from_base, name: pose}, rig.base_frame)
 
 
-def _shown_px(rig: Rig, moved: Rig, name: str, tip_mm: Array, clamped: bool) -> float:
-    """Largest change of a residual when the camera moves but the rig does not know."""
+def _shown(rig: Rig, moved: Rig, name: str, tip_mm: Array, clamped: bool) -> float:
+    """Largest change of a residual over its limit when the camera moves but the rig does not know."""
     shown = 0.0
     if clamped:
         base, ahead = rig.project(name, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
         along = (ahead - base) / np.linalg.norm(ahead - base)
         off = moved.project(name, np.zeros(3)) - base
-        shown = abs(float(off @ np.array([-along[1], along[0]])))
+        shown = abs(float(off @ np.array([-along[1], along[0]]))) * max(_LEFT_BY_FIT / _BASE_PX, 1 / _SIDE_PX)
     for other in rig.names:
         if other != name:
             ray = moved.cameras[name].unproject(moved.project(name, tip_mm))
             value = epipolar_px(rig, name, other, ray, rig.cameras[other].unproject(rig.project(other, tip_mm)))
-            shown = max(shown, abs(value))
+            shown = max(shown, abs(value) / _EPIPOLAR_PX)
     return shown
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from tubesight.core import Array, Image
 from tubesight.core.kernels import part, short_part
 from tubesight.vision import silhouette
-from tubesight.vision.kernels import Numbers, sample_line
+from tubesight.vision.line_kernels import Numbers, sample_line
 from tubesight.vision.math_kernels import median
 from tubesight.vision.signal import LINEAR_LIGHT, NOISE, SHADING_CLOTH, SHADING_TUBE
 

@@ -11,7 +11,7 @@ import numpy as np
 from tubesight.core import Array
 from tubesight.core.kernels import part, short_part
 from tubesight.vision import edges
-from tubesight.vision.kernels import Picture, sample_line
+from tubesight.vision.line_kernels import Picture, sample_line
 from tubesight.vision.math_kernels import Count, median
 
 ROOT_2_PI = float(np.sqrt(2 * np.pi))

@@ -13,7 +13,7 @@ from numba import types
 from tubesight.core import Array, Image
 from tubesight.core.kernels import compiled
 from tubesight.vision import colour_kernels, kernels, ray_kernels, scan_kernels, see_kernels, tip_kernels
-from tubesight.vision.kernels import Numbers, Picture
+from tubesight.vision.line_kernels import Numbers, Picture
 from tubesight.vision.ray_kernels import Optics
 
 Pair = tuple[float, float]

@@ -10,7 +10,7 @@ from tubesight.core import Array
 from tubesight.core.kernels import part, short_part
 from tubesight.geometry import lens
 from tubesight.vision import rays
-from tubesight.vision.kernels import Numbers
+from tubesight.vision.line_kernels import Numbers
 from tubesight.vision.math_kernels import Count, length, median, solve
 
 

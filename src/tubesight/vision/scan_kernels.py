@@ -9,7 +9,7 @@ from tubesight.core import Array, Mask
 from tubesight.core.kernels import part
 from tubesight.vision import edges, walker
 from tubesight.vision.edge_kernels import blur_of, colour_profiles, measure_edges, running_median, window
-from tubesight.vision.kernels import Picture
+from tubesight.vision.line_kernels import Picture
 from tubesight.vision.math_kernels import Count, length, median
 from tubesight.vision.pairs import DROP_MIN
 

@@ -12,7 +12,8 @@ from tubesight.core.kernels import part
 from tubesight.vision import locate, see, tip
 from tubesight.vision.colour_kernels import learn, numbers_of, segmenter
 from tubesight.vision.ending import FOUND
-from tubesight.vision.kernels import Numbers, Picture, find_end, walk
+from tubesight.vision.kernels import find_end, walk
+from tubesight.vision.line_kernels import Numbers, Picture
 from tubesight.vision.ray_kernels import Optics, tangent_cone, tube_rays, unproject
 from tubesight.vision.scan_kernels import measure
 from tubesight.vision.tip_kernels import Found, ball, face, round_end

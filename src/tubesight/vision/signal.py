@@ -91,7 +91,7 @@ def sample_across(image: Image, points_px: Array, way: Array, lines: int = 1) ->
         return np.full((*x.shape, channels), np.nan)
     dx, dy = (np.broadcast_to(way[..., i], x.shape) for i in range(2))
     on_rows = np.abs(dx) >= np.abs(dy)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         lean = np.where(on_rows, dy / dx, dx / dy)
     across = np.where(on_rows, y, x)
     total = np.zeros((*x.shape, channels))

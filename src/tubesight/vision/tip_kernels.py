@@ -12,7 +12,8 @@ from tubesight.core.kernels import part, short_part
 from tubesight.vision import edges, tip
 from tubesight.vision.edge_kernels import colour_profiles, measure_edges, window
 from tubesight.vision.ending import FOUND
-from tubesight.vision.kernels import WORK_ROWS, Numbers, Picture, nearest_fall, profile, spacing
+from tubesight.vision.kernels import nearest_fall, spacing
+from tubesight.vision.line_kernels import WORK_ROWS, Numbers, Picture, profile
 from tubesight.vision.math_kernels import Count, length, median, solve
 
 Found = tuple[int, Array, Numbers]

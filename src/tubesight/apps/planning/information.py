@@ -108,13 +108,13 @@ def information(phantom: Arc, rig: Rig, name: str, tube: Tube, errors: Errors, m
     every = flat(moved)
     by_unknown = (every[1 : 1 + PARAMETERS] - every[1 + PARAMETERS :]) / (2 * _STEPS[:, None, None])
     jacobian = np.einsum("pnk,nk->np", by_unknown, normal)
-    inverse = np.linalg.inv(covariance_px(at, errors))
+    weighted = _weighted(jacobian, shifts(at, errors), errors.noise_px)
     still = Stations(_moved(phantom, tube).points_mm[0], _moved(phantom, tube).tangents[0])
     columns = np.zeros((len(pixels), len(calibrated)))
     for k, (there, share) in enumerate(calibrated):
         off = flat(outline(still, there.cameras[name], there.camera_from_base[name], tube)) - pixels
         columns[:, k] = (off * normal).sum(1) / share
-    return Information(True, jacobian.T @ inverse @ jacobian, jacobian.T @ inverse @ columns)
+    return Information(True, weighted.T @ jacobian, weighted.T @ columns)
 
 
 @lru_cache(maxsize=64)
@@ -166,10 +166,10 @@ def shifts(seen: Outline, errors: Errors) -> Array:
     return design
 
 
-def covariance_px(seen: Outline, errors: Errors) -> Array:
-    """Covariance (N, N) of the edge points across the silhouette."""
-    design = shifts(seen, errors)
-    return np.asarray(errors.noise_px**2 * np.eye(len(design)) + design @ design.T)
+def _weighted(jacobian: Array, design: Array, noise_px: float) -> Array:
+    """Solve ``S x = J`` for the covariance ``S = noise^2 I + D D^T`` of the edge points (Woodbury's identity)."""
+    small = noise_px**2 * np.eye(design.shape[1]) + design.T @ design
+    return np.asarray((jacobian - design @ np.linalg.solve(small, design.T @ jacobian)) / noise_px**2)
 
 
 def noisy(seen: Outline, errors: Errors, rng: np.random.Generator) -> Outline:

@@ -19,6 +19,8 @@ _TITLES = {"tip": "tip", "bending": "bending angle", "orientation": "orientation
 _DRAWN_BENDINGS, _DRAWN_ORIENTATIONS = 3, 12
 # Arrows of the lines of sight end at this share of the way to the workspace.
 _SIGHT = 0.45
+# Distance of a camera's name from it, in points of the page.
+_NAME_PT = 12.0
 
 
 def draw_plan(plan: Plan) -> bytes:
@@ -58,11 +60,16 @@ def _draw_rig(axes: Any, plan: Plan, shown: tuple[int, int], title: str) -> None
             "", sight[pick], centre[pick], arrowprops={"arrowstyle": "->", "color": "#0072B2", "linewidth": 1.2}
         )
         axes.plot(*centre[pick], marker="s", color="#0072B2", markersize=7, zorder=3)
-        axes.annotate(name, centre[pick], textcoords="offset points", xytext=(6, 8), fontsize=8)
+        # The name stands clear of the arrow, above the camera or below it.
+        upwards = (target - centre)[shown[1]] * (-1 if shown[1] == 2 else 1) > 0
+        offset = (0.0, -_NAME_PT if upwards else _NAME_PT)
+        axes.annotate(
+            name, centre[pick], textcoords="offset points", xytext=offset, fontsize=8, ha="center", va="center"
+        )
     axes.plot(0, 0, marker="o", color="#D55E00", markersize=5, zorder=4)
     axes.annotate("clamp", (0, 0), textcoords="offset points", xytext=(5, 5), fontsize=8, color="#D55E00")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.margins(0.18)
+    axes.margins(0.3)
     axes.set(xlabel=f"{'xyz'[shown[0]]} [mm]", ylabel=f"{'xyz'[shown[1]]} [mm]", title=title)
     if shown[1] == 2:
         axes.invert_yaxis()
@@ -89,6 +96,7 @@ def _draw_map(figure: Any, axes: Any, plan: Plan, name: str) -> None:
     figure.colorbar(shown, ax=axes, shrink=0.75, pad=0.12, label=f"[{unit}]")
     axes.set_title(f"{_TITLES[name]} [{unit}]")
     axes.grid(False)
+    axes.set_axisbelow(False)
     axes.set_rlabel_position(22)
     top = float(bending.max())
     axes.set_rticks([tick for tick in (30.0, 60.0, 90.0, 120.0, 150.0) if tick <= top] or [top])

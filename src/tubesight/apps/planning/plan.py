@@ -24,7 +24,7 @@ from tubesight.geometry.rig import Rig, RigCovariance
 Progress = Callable[[str, int, int], None]
 
 # Poses of the workspace: fewer while places are compared, whose order they do not change.
-_SEARCHED, _SURVEYED = (4, 8), (7, 24)
+_SEARCHED, _SURVEYED = (3, 12), (7, 24)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,18 +102,29 @@ def make_plan(
         count=task.count if count is None else count,
         rules=task.rules if apart_deg is None else replace(task.rules, apart_deg=apart_deg),
     )
-    few = task.workspace.poses(*_SEARCHED)
     if rig_path is not None:
-        placements: Sequence[Placement] = ()
         rig, remarks = _given(rig_path, task)
-    else:
-        placements = best_places(
-            few, task.tube, task.count, task.camera, task.rules, task.errors, task.calibration_px, progress
-        )
-        rig = rig_of(placements[0].places, task.camera, target_of(few), task.calibration_px)
-        remarks = [f"calibration taken to point each camera to {task.calibration_px:g} px"]
-    poses = survey(task.workspace.poses(*_SURVEYED), rig, task.tube, task.errors, task.rules.margin_px, progress)
-    return Plan(task, rig, tuple(placements), tuple(poses), (*remarks, *_unseen(poses)))
+        poses = _survey(rig, task, progress)
+        return Plan(task, rig, (), tuple(poses), (*remarks, *_unseen(poses)))
+    few = task.workspace.poses(*_SEARCHED)
+    found = best_places(few, task.tube, task.count, task.camera, task.rules, task.errors, task.calibration_px, progress)
+    # The few poses leave out some that only a part of the cameras see: all are looked at for the best placements.
+    made = []
+    for placement in found:
+        rig = rig_of(placement.places, task.camera, target_of(few), task.calibration_px)
+        poses = _survey(rig, task, progress)
+        tip = np.array([pose.deviations.tip_mm for pose in poses])
+        seen = np.isfinite(tip)
+        exact = replace(placement, tip_sd_mm=float(np.sqrt(np.mean(tip[seen] ** 2))), seen=float(seen.mean()))
+        made.append((exact, rig, poses))
+    made.sort(key=lambda one: (-one[0].seen, one[0].tip_sd_mm))
+    _, rig, poses = made[0]
+    remark = f"calibration taken to point each camera to {task.calibration_px:g} px"
+    return Plan(task, rig, tuple(one[0] for one in made), tuple(poses), (remark, *_unseen(poses)))
+
+
+def _survey(rig: Rig, task: Task, progress: Progress) -> list[Pose]:
+    return survey(task.workspace.poses(*_SURVEYED), rig, task.tube, task.errors, task.rules.margin_px, progress)
 
 
 def _given(path: Path, task: Task) -> tuple[Rig, list[str]]:

@@ -42,16 +42,11 @@ def distortion_study(context: Context) -> StudyResult:
         _growth(rows),
         "Scatter of the tip over one turn, by bending, with the lens distortion corrected and not.",
     )
-    low, high = (
-        {name: _scatter_mm(rows, bending, name, "silhouette") for name, _ in _CORRECTED} for bending in (10, 70)
-    )
-    scatters = "; ".join(
-        f"from {low[name]:.3f} mm at 10 to {high[name]:.3f} mm at 70 degrees ({name})" for name, _ in _CORRECTED
-    )
     text = (
         "The paper sees its errors scatter more the more a tube bends, and guesses that radial distortion of the "
-        "webcams is why. Over one turn of the tube, the errors of the tip scatter (root mean square over x, y, z, "
-        f"silhouette) {scatters}. {_answer(low, high)}"
+        "webcams is why. Here is how the errors of the tip scatter over one turn of a tube (root mean square over x, y "
+        f"and z) at {_BENDING_DEG[0]} and at {_BENDING_DEG[-1]} degrees. "
+        + " ".join(_grown(rows, name) for name, _ in _CORRECTED)
     )
     return StudyResult("", (text,), (figure,), (_table(rows),), data=(data,))
 
@@ -67,12 +62,13 @@ def _scatter_mm(rows: Sequence[Row], bending_deg: float, rig: str, method: str) 
     return float(np.sqrt(errors.var(axis=0).mean())) if len(own) > 1 else float("nan")
 
 
-def _answer(low: dict[str, float], high: dict[str, float]) -> str:
-    """Say in words what the numbers say."""
-    grown = {name: high[name] - low[name] for name in low}
-    if grown["not corrected"] > 2 * max(grown["corrected"], 0.0):
-        return "Distortion that is not corrected does make the scatter grow with bending: the guess holds."
-    return "The scatter grows no less with the distortion corrected: distortion is not the reason."
+def _grown(rows: Sequence[Row], rig: str) -> str:
+    """Scatter at the least and the largest bending, in words."""
+    parts = []
+    for method in METHODS:
+        low, high = (_scatter_mm(rows, _BENDING_DEG[i], rig, method) for i in (0, -1))
+        parts.append(f"{method} {low:.3f} to {high:.3f} mm ({high / low:.1f} times)")
+    return f"Distortion {rig}: {', '.join(parts)}."
 
 
 def _table(rows: Sequence[Row]) -> Table:

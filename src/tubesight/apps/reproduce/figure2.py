@@ -40,6 +40,8 @@ def run(context: Context) -> StudyResult:
 
 def _geometry() -> Drawing:
     made, axes = drawing.panels(1, 1, (8.0, 5.0), subplot_kw={"projection": "3d"})
+    # Labels in space have no place in a layout.
+    made.set_layout_engine("none")
     space: Any = axes[0][0]
     rig, phantom = true_rig(), phantom_of(_BENDING_DEG, _ORIENTATION_DEG)
     line = phantom.at(np.linspace(0, phantom.length_mm, 60))

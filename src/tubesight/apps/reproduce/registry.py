@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
-from tubesight.apps.reproduce.study import Context, StudyResult
+if TYPE_CHECKING:
+    from tubesight.apps.reproduce.study import Context, StudyResult
 
-Run = Callable[[Context], StudyResult]
-
-# Module of each study, and what it shows in a few words for --help. Modules are imported when their study runs.
+# What each study shows. The study NAME is the module tubesight.apps.reproduce.NAME, imported when it runs.
 STUDIES: Mapping[str, str] = MappingProxyType(
     {
         "figure2": "the geometry, theta and phi",
@@ -27,7 +27,7 @@ STUDIES: Mapping[str, str] = MappingProxyType(
 )
 
 
-def study(name: str) -> Run:
-    """Return ``run`` of the study's module, ``tubesight.apps.reproduce.NAME``."""
-    run: Run = import_module(f"tubesight.apps.reproduce.{name}").run
+def study(name: str) -> Callable[[Context], StudyResult]:
+    """Return ``run`` of the study's module."""
+    run: Callable[[Context], StudyResult] = import_module(f"tubesight.apps.reproduce.{name}").run
     return run

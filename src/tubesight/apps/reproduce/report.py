@@ -22,7 +22,8 @@ p, li, figcaption, caption {{ max-width: 80ch }}
 .scroll {{ overflow-x: auto; margin: 1.2rem 0 }}
 table {{ border-collapse: collapse; background: #fff; font-variant-numeric: tabular-nums }}
 th, td {{ padding: .3rem .7rem; border-bottom: 1px solid #dde2e8; text-align: right; white-space: nowrap }}
-th.words, td.words {{ text-align: left }}
+th {{ white-space: normal; vertical-align: bottom }}
+th.words, td.words {{ text-align: left; white-space: normal; min-width: 7em }}
 caption {{ text-align: left; padding: .2rem 0; color: #414d59 }}
 figure {{ margin: 1.2rem 0 }}
 img {{ max-width: 100%; height: auto; border-radius: 4px; background: #fff; display: block }}

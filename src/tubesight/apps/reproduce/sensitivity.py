@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from math import nan
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tubesight.apps.reproduce import drawing
 from tubesight.apps.reproduce.cases import ADVICE, Case, cases
@@ -45,7 +45,7 @@ def run(context: Context) -> StudyResult:
     figure = context.write_figure(
         "sensitivity",
         _dots(entries),
-        "Largest errors with one thing wrong at a time; dashed: largest errors in the paper.",
+        "Largest errors with one thing wrong at a time; crosses: a method refused some poses.",
     )
     text = (
         f"One thing at a time is wrong, everything else is as in the experiments, over {len(poses)} poses; the rig is "
@@ -138,21 +138,20 @@ def _table(entries: Mapping[Case, Mapping[str, Mapping[str, float]]]) -> Table:
 
 
 def _dots(entries: Mapping[Case, Mapping[str, Mapping[str, float]]]) -> Drawing:
-    """Largest errors by case, tip and bending side by side."""
-    made, axes = drawing.panels(1, 2, (10.0, 1.5 + 0.26 * len(entries)), sharey=True)
+    """Largest errors by case, tip and bending side by side; crosses at the right edge where poses were refused."""
+    made, axes = drawing.panels(1, 2, (10.0, 2.2 + 0.24 * len(entries)), sharey=True)
     names = [_name(case) for case in entries]
     quantities = (("tip_max_mm", "tip", "mm", PAPER_MAX_MM), ("bending_max_deg", "bending", "deg", PAPER_MAX_DEG))
     for panel, (key, label, unit, paper) in zip(axes[0], quantities, strict=True):
-        for method in METHODS:
-            panel.plot(
-                [by[method][key] for by in entries.values()],
-                names,
-                linestyle="",
-                marker=drawing.MARKERS[method],
-                markersize=5,
-                color=drawing.COLOURS[method],
-                label=method,
-            )
+        for index, method in enumerate(METHODS):
+            look: dict[str, Any] = {"linestyle": "", "color": drawing.COLOURS[method], "markersize": 5}
+            found = [by[method] for by in entries.values()]
+            panel.plot([e[key] for e in found], names, marker=drawing.MARKERS[method], label=method, **look)
+            refused = [name for name, e in zip(names, found, strict=True) if e["failures"]]
+            if refused:
+                look |= {"marker": "x", "clip_on": False, "transform": panel.get_yaxis_transform()}
+                edge = [1.015 + 0.025 * index] * len(refused)
+                panel.plot(edge, refused, label=f"{method}: poses refused", **look)
         panel.axvline(paper, color=drawing.COLOURS["paper"], linestyle="--", linewidth=1, label="largest in the paper")
         panel.set_xscale("log")
         panel.set_xlabel(f"largest error of {label} [{unit}]")
