@@ -20,7 +20,7 @@ from tubesight.sensor import ShapeSensor
 
 Progress = Callable[[int, int], None]
 
-# Pairs after which memory is looked at, and how often: allocators and caches have filled by then.
+# Most pairs before memory is looked at, and how often it is: allocators and caches have filled by then.
 _WARM, _LOOKS = 500, 100
 
 # What the process runs whose memory is told: it has no simulator and nothing else of the benchmark's.
@@ -88,7 +88,7 @@ def soak(sensor: ShapeSensor, few: Sequence[FramePair], pairs: int, progress: Pr
     progress
         Called with the number of pairs done and their total.
     """
-    for k in range(_WARM):
+    for k in range(min(_WARM, pairs)):
         sensor(few[k % len(few)])
     looks = []
     every = max(pairs // _LOOKS, 1)

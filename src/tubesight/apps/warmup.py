@@ -53,14 +53,14 @@ def warm_up(progress: Progress | None = None) -> tuple[Warmed, ...]:
         Called before each with its name, the number done and their total, and once at the end.
     """
     rig = rig_around(90.0, size_px=_SIZE_PX)
-    work = [(tube, kind, method) for tube in _TUBES for kind in _PICTURES for method in _METHODS]
+    rendered = [(tube, render_pair(rig, Arc(np.radians(40.0), 1.0, 160.0), tube).images) for tube in _TUBES]
+    work = [(*seen, kind, method) for seen in rendered for kind in _PICTURES for method in _METHODS]
     done = []
-    for k, (tube, kind, method) in enumerate(work):
+    for k, (tube, images, kind, method) in enumerate(work):
         name = f"{tube.tip.shape} tip, {kind}, {method}"
         if progress is not None:
             progress(name, k, len(work))
-        pair = render_pair(rig, Arc(np.radians(40.0), 1.0, 160.0), tube)
-        pair = FramePair({camera: _PICTURES[kind](image) for camera, image in pair.images.items()}, pair.name)
+        pair = FramePair({camera: _PICTURES[kind](image) for camera, image in images.items()})
         start = time.perf_counter()
         ok = bool(ShapeSensor(rig, tube, method)(pair))
         done.append(Warmed(name, time.perf_counter() - start, ok))

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from tubesight.core import Array, Status, Unmeasurable
 from tubesight.core.kernels import COMPILED
@@ -57,6 +56,8 @@ def way_of(view: View) -> Array:
 
 def resampled(way: Array, share: Array) -> Array:
     """Rays (K, 3) at shares (K,) of the length of a centreline (N, 3) on the image plane, by a cubic spline."""
+    from scipy.interpolate import CubicSpline  # here: importing it takes as long as a first result
+
     step = np.linalg.norm(np.diff(way, axis=0), axis=1)
     # Of two places nearer to each other than a part of the usual step the direction is noise: the end stays.
     apart = np.append(step > _NEAR_STEPS * np.median(step), True)

@@ -66,9 +66,7 @@ def placed(problem: Problem, curve: Curve3D, start: Pose) -> Problem:
         along = problem.direction[rays] @ offset.T
         squared = (offset**2).sum(1) - along**2
         place[rays] = _in_order(squared)
-    return problem._replace(
-        place=place, start_rotation=np.array(start.rotation), start_mm=np.array(start.translation_mm)
-    )
+    return problem._replace(place=place, start_rotation=start.rotation, start_mm=start.translation_mm)
 
 
 def _in_order(squared: Array) -> Array:

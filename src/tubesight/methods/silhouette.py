@@ -13,7 +13,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from tubesight.core import Array, Status, Tip, Tube, Unmeasurable
+from tubesight.core import Array, Status, Tip, Tube, Unmeasurable, sealed
 from tubesight.geometry.curve import Curve3D, NodeCurve
 from tubesight.geometry.deviations import Deviations
 from tubesight.geometry.families import BASE, FAMILIES, bends_of_pieces, ellipse_like
@@ -96,7 +96,7 @@ class Silhouette:
         if tube.tip.shape == "flat":
             end = chosen.nodes.points[-1], chosen.nodes.tangents[-1]
             tip = flat_tip(views, rig, *end, end_radius or problem.radius_mm)
-            problem = problem._replace(end_mm=tip)
+            problem = problem._replace(end_mm=sealed(np.array(tip)))
             chosen = fit_family(problem, chosen.family, chosen.parameters)
         if not chosen.rms_px <= max(_RMS_MAX_PX, _RMS_MAX_SD * _roughness_px(problem)):
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")
@@ -321,5 +321,4 @@ def _with_deviations(
     if not picture.bounded():
         raise Unmeasurable(Status.NEAR_DEGENERATE, detail="the pictures leave the length of the curve open")
     calibration = Deviations(fit.family.name, fit.nodes, from_rig) if rig.covariance is not None else ()
-    curves = picture, calibration
-    return NodeCurve(fit.family.name, fit.nodes.s_mm, fit.nodes.points, fit.nodes.tangents, *curves, note=why)
+    return NodeCurve(fit.family.name, fit.nodes.s_mm, fit.nodes.points, fit.nodes.tangents, picture, calibration, why)
