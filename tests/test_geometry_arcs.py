@@ -271,3 +271,18 @@ def test_a_curve_measured_from_its_other_end_is_the_same() -> None:
     s = SHARES * LENGTH_MM
     assert np.abs(back.at(s) - truth.at(LENGTH_MM - s)).max() < EXACT_MM
     assert np.abs(back.tangent(s) + truth.tangent(LENGTH_MM - s)).max() < EXACT_MM
+
+
+def test_no_ellipse_winds_around_a_straight_tube() -> None:
+    """Points of a straight tube that drift: the best conic may be a needle that runs up one side and down the other."""
+    z = np.linspace(5.0, 160.0, 28)
+    refused = 0
+    for seed in range(40):
+        xy = np.cumsum(np.random.default_rng(seed).normal(scale=0.01, size=(len(z), 2)), 0)
+        try:
+            arc = clamped_ellipse(np.column_stack([xy, z]), np.ones(len(z)), np.array([0.0, 0.0, 160.0]))
+        except ValueError as error:
+            refused += "winds" in str(error)
+        else:
+            assert arc.length_mm < 1.7 * 160
+    assert refused > 0
