@@ -21,9 +21,14 @@ TESTS = Path(__file__).resolve().parent
 PAGE = (TESTS.parent / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 # What shortens an example whose usual form takes minutes; the last of two equal options counts.
-SHORTER = {"demo": ["--quick"], "bench": ["--pairs", "2"], "compare": ["--methods", "cone_ray"]}
-# Examples that name cameras, or files that other tools write, run in tests of their own with others.
-ELSEWHERE = ("capture", "import")
+SHORTER = {
+    "demo": ["--quick"],
+    "bench": ["--pairs", "2"],
+    "compare": ["--methods", "cone_ray"],
+    "view": ["--pairs", "1", "--port", "0"],
+}
+# Examples that name cameras, files that others write, or studies of minutes run in tests of their own with others.
+ELSEWHERE = ("capture", "import", "live", "record", "replay", "recover", "export", "soak", "reproduce", "plan")
 ROD = Tube(8.0, Tip("flat"), clamped=True)
 
 
