@@ -14,6 +14,7 @@ from tubesight.apps.viewer.scene import Scene3D
 from tubesight.core import Array, FramePair, Tube
 from tubesight.geometry.rig import Rig
 from tubesight.outputs.overlay import draw_views
+from tubesight.outputs.publish import Slot
 from tubesight.sensor import Reconstruction
 
 # People see no more than 30 results a second; pictures and plots are larger and change more slowly.
@@ -67,8 +68,8 @@ class Viewer:
         self._add_controls()
         self._scene = Scene3D(self.server, rig, tube.diameter_mm)
         self._cameras = Cameras(self.server, rig, self._clicked)
-        self._slot: tuple[Reconstruction, FramePair | None, float, str] | None = None
-        self._filled, self._ended = threading.Event(), threading.Event()
+        self._slot: Slot[tuple[Reconstruction, FramePair | None, float, str]] = Slot()
+        self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
 
     @property
@@ -82,7 +83,7 @@ class Viewer:
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
-        self._filled.set()
+        self._slot.close()
         self._thread.join(2.0)
         self.server.stop()
 
@@ -100,8 +101,7 @@ class Viewer:
         remarks
             Rates, latency and the like, in words.
         """
-        self._slot = (result, pair, time.monotonic() if time_s is None else time_s, remarks)
-        self._filled.set()
+        self._slot.put((result, pair, time.monotonic() if time_s is None else time_s, remarks))
 
     def _add_controls(self) -> None:
         gui, controls = self.server.gui, self._controls
@@ -127,13 +127,11 @@ class Viewer:
     def _run(self) -> None:
         pictures_at = plots_at = 0.0
         while not self._ended.is_set():
-            self._filled.wait()
-            self._filled.clear()
-            slot, self._slot = self._slot, None
-            if slot is None:
-                continue
+            taken = self._slot.take(None)
+            if taken is None:
+                return
             started = time.monotonic()
-            result, pair, time_s, remarks = slot
+            result, pair, time_s, remarks = taken
             with self.server.atomic():
                 self._panel.show(result, time_s, remarks)
                 self._scene.show(result, self._enlarge or None)
