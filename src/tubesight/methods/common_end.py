@@ -140,11 +140,4 @@ def _until(view: View, place_px: float, rig: Rig) -> View:
     if keep.sum() < _SCANS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, view.camera, "little of the tube is seen by all cameras")
     ray = np.array([np.interp(place_px, chord, view.rays[:, k]) for k in range(3)])
-    return replace(
-        view,
-        edges_px=view.edges_px[keep],
-        edge_rays=view.edge_rays[keep],
-        rays=view.rays[keep],
-        centreline_px=view.centreline_px[keep],
-        tip=open_tip(ray, rig.cameras[view.camera].project(ray)),
-    )
+    return view.scans(keep, tip=open_tip(ray, rig.cameras[view.camera].project(ray)))

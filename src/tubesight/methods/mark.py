@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -70,11 +69,4 @@ def _cut(view: View, base_px: Array, rig: Rig) -> View:
     foot = base_px
     if 0 <= place[0] <= chord[-1]:
         foot = np.array([np.interp(place[0], chord, view.centreline_px[:, k]) for k in (0, 1)])
-    return replace(
-        view,
-        edges_px=view.edges_px[keep],
-        edge_rays=view.edge_rays[keep],
-        rays=view.rays[keep],
-        centreline_px=view.centreline_px[keep],
-        base=rig.cameras[view.camera].unproject(foot),
-    )
+    return view.scans(keep, base=rig.cameras[view.camera].unproject(foot))

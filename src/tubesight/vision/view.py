@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from tubesight.core import Array, readonly
+from tubesight.core import Array, Mask, readonly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,3 +108,8 @@ class View:
     def widths_px(self) -> Array:
         """(N,) distance between the two edges of each scan."""
         return np.asarray(np.linalg.norm(self.edges_px[:, 0] - self.edges_px[:, 1], axis=-1))
+
+    def scans(self, keep: Mask, **changes: Any) -> View:
+        """Return the same view with some of its scans (N,), and with other changes."""
+        rows = ("edges_px", "edge_rays", "rays", "centreline_px")
+        return replace(self, **{name: getattr(self, name)[keep] for name in rows}, **changes)
