@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from tf2_ros import TransformBroadcaster
 
 from tubesight.client import Result, results
+from tubesight.geometry.pose import turn_onto
 
 FRAME, TIP = "tube_base", "tube_tip"
 
@@ -48,7 +49,7 @@ class Tube(Node):
         pose.header.stamp, pose.header.frame_id = now, FRAME
         p, q = pose.pose.pose.position, pose.pose.pose.orientation
         p.x, p.y, p.z = (result.tip_mm / 1e3).tolist()
-        turn, _ = Rotation.align_vectors([result.message.tip_direction], [[0.0, 0.0, 1.0]])
+        turn = Rotation.from_matrix(turn_onto(np.array(result.message.tip_direction)))
         q.x, q.y, q.z, q.w = turn.as_quat().tolist()
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = np.diag((result.sd_tip_mm / 1e3) ** 2)

@@ -178,23 +178,41 @@ def _rig_and_tube(options: RunOptions) -> tuple[Rig, Tube, list[str]]:
         )
     if len(rig.names) < 2:
         raise InputError(f"{options.rig_path}: a 3-D shape needs two cameras, the rig has one; add a second camera")
-    messages = []
-    if options.tube_path is None:
-        tube = Tube()
-        messages.append("no tube file: the diameter is estimated, a round end and no clamp are assumed (--tube)")
-    else:
-        tube = load_tube(options.tube_path)
-    if not rig.registered:
-        messages.append(
-            f"the rig is not registered: coordinates are those of camera {rig.base_frame!r} (`tubesight register`)"
-        )
-        tube = replace(tube, clamped=False)
+    messages: list[str] = []
+    tube = tube_for(options.tube_path, rig, messages)
     if len(options.base_px) > 1 and tube.clamped:
         messages.append("the base is marked by hand (--base): it takes the place of the clamp")
         tube = replace(tube, clamped=False)
     if rig.covariance is None:
         messages.append("the rig has no covariance: deviations cover the pictures alone, not the calibration")
     return rig, tube, messages
+
+
+def tube_for(path: Path | None, rig: Rig, messages: list[str], otherwise: Tube | None = None) -> Tube:
+    """Read what is known of the tube, and say what is assumed; no clamp holds it where the rig is not registered.
+
+    Parameters
+    ----------
+    path
+        ``tube.yaml``, or None.
+    messages
+        What the user should know is appended.
+    otherwise
+        The tube where there is no file and yet something is known.
+    """
+    if path is not None:
+        tube = load_tube(path)
+    elif otherwise is not None:
+        tube = otherwise
+    else:
+        tube = Tube()
+        messages.append("no tube file: the diameter is estimated, a round end and no clamp are assumed (--tube)")
+    if not rig.registered:
+        messages.append(
+            f"the rig is not registered: coordinates are those of camera {rig.base_frame!r} (`tubesight register`)"
+        )
+        tube = replace(tube, clamped=False)
+    return tube
 
 
 def _backgrounds(options: RunOptions, rig: Rig, messages: list[str]) -> dict[str, Image]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Annotated
 
@@ -27,10 +26,9 @@ def command(
 
         tubesight view photos --rig rig.yaml --tube tube.yaml
     """
-    from tubesight.core import InputError
+    from tubesight.files.packages import require_package
 
-    if importlib.util.find_spec("viser") is None:
-        raise InputError("the viewer needs viser; install it with: pip install 'tubesight[view]'")
+    require_package("viser", "view", "the viewer needs the package viser")
     from tubesight.apps.run import RunOptions
     from tubesight.apps.viewer.play import view_folder
     from tubesight.cli.console import remark

@@ -6,11 +6,11 @@ import json
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from tubesight.core import InputError
+from tubesight.files.packages import require_package
 
 FORMAT = "tubesight-recording/1"
 CONFIGURATION_TOPIC = "/tubesight/configuration"
@@ -79,8 +79,7 @@ class Message:
 
 def need_mcap(what: str) -> None:
     """Refuse where the package for recordings is missing."""
-    if find_spec("mcap") is None:
-        raise InputError(f"{what}: recordings need the package mcap; pip install 'tubesight[record]'")
+    require_package("mcap", "record", f"{what}: recordings need the package mcap")
 
 
 def coded_image(time_ns: int, camera: str, form: str, data: bytes) -> bytes:

@@ -99,6 +99,19 @@ class Pose:
         return np.asarray(np.asarray(vectors, float) @ self.rotation.T)
 
 
+def turn_onto(direction: Array) -> Array:
+    """Rotation (3, 3) by the smallest turn that carries +z onto a direction (3,).
+
+    ``R = I + K + K^2 / (1 + c)`` with the cross product matrix K of ``z x t`` and ``c = z . t`` (Rodrigues' formula for
+    unit t); straight back is a half turn about x.
+    """
+    t = direction / np.linalg.norm(direction)
+    if not t[2] > -1 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    k = np.array([[0, 0, t[0]], [0, 0, t[1]], [-t[0], -t[1], 0]])
+    return np.asarray(np.eye(3) + k + k @ k / (1 + t[2]))
+
+
 def register_rigid(points_a_mm: ArrayLike, points_b_mm: ArrayLike) -> Pose:
     """Least-squares rigid transform between paired points.
 

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tubesight.core import Array, InputError
 from tubesight.files.images import decode_image
 from tubesight.files.nested import dump_yaml
+from tubesight.files.packages import require_package
 from tubesight.files.recording import IMAGE_SCHEMA, RecordedPicture, Recording
 from tubesight.files.rig import rig_from_text
 from tubesight.files.safe import write_atomic
+from tubesight.geometry.pose import turn_onto
 
 _RULE = "=" * 80
 _HEADER = f"""{_RULE}
@@ -78,8 +79,7 @@ def write_ros_bag(recording: Recording, out: Path) -> int:
     InputError
         If the package for ROS messages is missing, or the place cannot be written.
     """
-    if find_spec("mcap_ros2") is None:
-        raise InputError(f"{out}: needs the package mcap-ros2-support; pip install 'tubesight[ros]'")
+    require_package("mcap_ros2", "ros", f"{out}: needs the package mcap-ros2-support")
     from mcap_ros2.writer import Writer
 
     path = out / f"{out.name}_0.mcap"
@@ -151,16 +151,10 @@ def _directions(points: Array) -> Array:
 
 def _pose(point: Array, direction: Array) -> dict[str, Any]:
     """Pose whose +z runs along the tube: the shortest turn that carries z there."""
-    x, y, z = (float(v) for v in direction)
-    if z < -1 + 1e-9:
-        turn = (1.0, 0.0, 0.0, 0.0)
-    else:
-        w = math.sqrt((1 + z) / 2)
-        turn = (-y / (2 * w), x / (2 * w), 0.0, w)
-    names = ("x", "y", "z", "w")
+    turn = Rotation.from_matrix(turn_onto(direction)).as_quat(canonical=True)
     return {
         "position": dict(zip("xyz", (float(v) for v in point), strict=True)),
-        "orientation": dict(zip(names, turn, strict=True)),
+        "orientation": dict(zip("xyzw", turn.tolist(), strict=True)),
     }
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tubesight.core import InputError
+from tubesight.files.packages import require_package
 from tubesight.files.recording import RecordedResult, Recording
 from tubesight.files.tables import Curves, ShapeRow, write_curves, write_shapes
 from tubesight.outputs.ros_bag import write_ros_bag
@@ -117,8 +117,7 @@ def _vtk(results: Results, out: Path) -> list[Path]:
 
 
 def _parquet(results: Results, out: Path) -> list[Path]:
-    if find_spec("pyarrow") is None:
-        raise InputError(f"{out}: Parquet needs the package pyarrow; pip install 'tubesight[tables]'")
+    require_package("pyarrow", "tables", f"{out}: Parquet needs the package pyarrow")
     import pyarrow
     import pyarrow.parquet
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from tubesight.apps.run import tube_for
 from tubesight.core import Array, Image, InputError, Tube
 from tubesight.files.rig import RIG_BYTES, refuse_camera_name, rig_from_text, rig_text
 from tubesight.files.safe import read_text
-from tubesight.files.tube import load_tube
 from tubesight.geometry.rig import Rig
 from tubesight.sensor import DEFAULT_METHOD, ShapeSensor
 from tubesight.sources.folder import read_backgrounds
@@ -131,7 +131,8 @@ def set_up(options: LiveOptions) -> Setup:
         refuse_camera_name(name, "--source")
     messages: list[str] = []
     rig, text = _rig(options, messages)
-    tube = _tube(options, rig, messages)
+    known = SIM_TUBE if all(simulated(text) for text in options.sources.values()) else None
+    tube = tube_for(options.tube_path, rig, messages, known)
     for what, names in (("--source", options.sources), ("--base", options.base_px), ("--offset", options.offset_s)):
         unknown = sorted(set(names) - set(rig.names))
         if unknown:
@@ -173,19 +174,3 @@ def _rig(options: LiveOptions, messages: list[str]) -> tuple[Rig, str]:
     if rig.covariance is None:
         messages.append("the rig has no covariance: deviations cover the pictures alone, not the calibration")
     return rig, text
-
-
-def _tube(options: LiveOptions, rig: Rig, messages: list[str]) -> Tube:
-    if options.tube_path is not None:
-        tube = load_tube(options.tube_path)
-    elif all(simulated(text) for text in options.sources.values()):
-        tube = SIM_TUBE
-    else:
-        tube = Tube()
-        messages.append("no tube file: the diameter is estimated, a round end and no clamp are assumed (--tube)")
-    if not rig.registered:
-        messages.append(
-            f"the rig is not registered: coordinates are those of camera {rig.base_frame!r} (`tubesight register`)"
-        )
-        tube = replace(tube, clamped=False)
-    return tube

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.util
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tubesight.apps.live.options import Setup
 from tubesight.core import InputError, Status
+from tubesight.files.packages import require_package
 from tubesight.outputs.network.access import LOOPBACK, Access, is_loopback
 from tubesight.outputs.publish import Subscriber
 from tubesight.sensor import Reconstruction
 from tubesight.tracking.tracker import Tracked
-
-# Packages by what needs them, and the extra that installs each.
-_EXTRAS = {"pyigtl": "igtl", "websockets": "stream", "viser": "view"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +67,7 @@ def open_subscribers(options: PublishOptions, setup: Setup) -> tuple[list[Subscr
             subscribers.append(network)
             messages += network.messages
         if options.view_port is not None:
-            _need("viser")
+            require_package("viser", "view", "the viewer needs the package viser")
             from tubesight.apps.live.watching import ViewerSubscriber
 
             viewer = ViewerSubscriber(setup, options.view_port)
@@ -86,11 +83,6 @@ def close(subscribers: Sequence[Subscriber]) -> None:
     """Close all."""
     for subscriber in subscribers:
         subscriber.close()
-
-
-def _need(package: str) -> None:
-    if importlib.util.find_spec(package) is None:
-        raise InputError(f"{package} is missing; install it with: pip install 'tubesight[{_EXTRAS[package]}]'")
 
 
 class NetworkSubscriber:
@@ -113,14 +105,14 @@ class NetworkSubscriber:
         senders: list[Sender] = []
         self.messages: list[str] = []
         if options.igtl is not None:
-            _need("pyigtl")
+            require_package("pyigtl", "igtl", "OpenIGTLink needs the package pyigtl")
             from tubesight.outputs.network.igtl_server import IgtlServer
 
             senders.append(IgtlServer(options.igtl.host, options.igtl.port))
             if not is_loopback(options.igtl.host):
                 self.messages.append(f"warning: OpenIGTLink: {Access.to(options.igtl.host).warning}, and no password")
         if options.websocket is not None:
-            _need("websockets")
+            require_package("websockets", "stream", "the WebSocket needs the package websockets")
             from tubesight.outputs.network.websocket import WebSocketServer
 
             access = Access.to(options.websocket.host)

@@ -14,7 +14,8 @@ from tubesight.apps.live.loop import Moment
 from tubesight.apps.live.options import LiveOptions, RecordOptions, set_up
 from tubesight.apps.live.pairing_trial import PairingTrial, run_trial
 from tubesight.apps.live.session import run_session
-from tubesight.apps.live.stats import Figures, memory_mb
+from tubesight.apps.live.stats import Figures
+from tubesight.outputs.machine import resident_mb
 from tubesight.simulate import rig_around
 from tubesight.tracking.health import Health, Mean, verdict
 
@@ -91,7 +92,7 @@ def soak(
     def watch(moment: Moment) -> None:
         now = time.monotonic()
         if not memory or now - memory[-1][0] > seconds / 200:
-            memory.append((now, memory_mb()))
+            memory.append((now, resident_mb()))
         tell(moment)
 
     before = time.process_time()

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tubesight.outputs.machine import resident_mb
 from tubesight.sources.live import CameraCounts
 from tubesight.tracking.tracker import Tracked
 
@@ -19,18 +20,6 @@ _WINDOW_S = 5.0
 # Latencies kept of a whole session for its percentiles: of longer sessions, a random part (reservoir) would be needed;
 # half an hour at 200 Hz is enough to judge a machine by.
 _KEPT = 360_000
-
-
-def memory_mb() -> float:
-    """Resident memory of this process; NaN where the system does not tell."""
-    try:
-        with open("/proc/self/status", encoding="ascii") as status:
-            for line in status:
-                if line.startswith("VmRSS:"):
-                    return float(line.split()[1]) / 1024
-    except OSError:
-        pass
-    return math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +125,7 @@ class Stats:
             compute_ms=medians[1],
             latency_p99_ms=p99,
             skew_ms=medians[2],
-            memory_mb=memory_mb(),
+            memory_mb=resident_mb(),
             status=dict(self._status),
             cameras=by_camera,
             recorded=recorded,

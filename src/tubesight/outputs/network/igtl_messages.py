@@ -14,6 +14,7 @@ import numpy as np
 from pyigtl.messages import MessageBase, PointMessage, PolyDataMessage, StringMessage, TransformMessage
 
 from tubesight.core import Array, Status
+from tubesight.geometry.pose import turn_onto
 
 # Names under which clients see the messages: a transform is named `<what>To<frame>`, as PLUS does.
 TIP, POINTS, CURVE, ANGLES, STATE = "TipToBase", "TubePoints", "Tube", "TubeShape", "TubeStatus"
@@ -84,18 +85,8 @@ def pack_result(message: dict[str, Any], time_s: float, version: int = PLAIN) ->
 
 
 def tip_pose(message: dict[str, Any]) -> Array:
-    """``base_from_tip`` (4, 4): z is the tangent at the tip, x and y are turned with it from the base without a twist.
-
-    The turn is the smallest one from +z to the tangent: ``R = I + K + K^2 / (1 + c)`` with the cross product matrix K
-    of ``z x t`` and ``c = z . t``; a tip that points straight back is turned about x.
-    """
-    t = np.array(message["tip_direction"])
-    t = t / np.linalg.norm(t)
+    """``base_from_tip`` (4, 4): z is the tangent at the tip, x and y are turned with it from the base (`turn_onto`)."""
     pose = np.eye(4)
-    if t[2] > -1 + 1e-12:
-        k = np.array([[0, 0, t[0]], [0, 0, t[1]], [-t[0], -t[1], 0]])
-        pose[:3, :3] = np.eye(3) + k + k @ k / (1 + t[2])
-    else:
-        pose[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    pose[:3, :3] = turn_onto(np.array(message["tip_direction"]))
     pose[:3, 3] = message["tip_mm"]
     return pose
