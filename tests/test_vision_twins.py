@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tubesight.core import Tip, Tube, Unmeasurable
 from tubesight.core.kernels import COMPILED
 from tubesight.geometry.camera import Camera
-from tubesight.vision import falls, kernels, math_kernels, pairs
+from tubesight.vision import falls, line_kernels, math_kernels, pairs
 from tubesight.vision.ending import BORDER, FOUND
-from tubesight.vision.signal import Signal, sample
+from tubesight.vision.see import Start, see
+from tubesight.vision.signal import Signal, planes, sample_across
 from tubesight.vision.stages import READABLE, Stages, stages
 from vision_scenes import Picture, drawn_tube
 
@@ -87,6 +90,7 @@ PICTURES: dict[str, Picture] = {
     "one row": np.full((1, 210), 90, np.uint8),
     "nothing": np.zeros((0, 0, 3), np.uint8),
 }
+CAMERA = Camera(np.array([[300.0, 0.5, 105], [0, 305, 75], [0, 0, 1]]), (210, 150), np.array([-0.1, 0.02, 1e-3, 0, 0]))
 SCENES = {"tube": drawn_tube(length=0.0, ball=0.0, seed=5), "noise": PICTURES["tube"], "gray": gray(drawn_tube(seed=8))}
 
 
@@ -148,19 +152,29 @@ def test_places_that_are_none_find_nothing(place: np.ndarray) -> None:
     assert np.isnan(assert_twins("learn", PICTURES["tube"], None, place, WAY, WIDTH)[0]).all()
 
 
+@numba.njit(error_model="numpy")
+def _sample_line(  # type: ignore[no-untyped-def]
+    image, origin, way, bend, low, step, lines, at, out, row
+) -> None:
+    """Enter the compiled sampler from Python."""
+    line_kernels.sample_line(image, origin, way, bend, low, step, lines, at, out, row)
+
+
+@pytest.mark.parametrize("lines", [1, 2, 3])
 @pytest.mark.parametrize("name", ["tube", "gray", "yuyv", "one pixel", "one row", "nothing"])
-def test_samples_are_bilinear_and_never_outside(name: str) -> None:
-    picture = PICTURES[name]
+def test_lines_are_sampled_as_points_are_and_never_outside(name: str, lines: int) -> None:
+    picture = planes(PICTURES[name])
     rng = np.random.default_rng(0)
-    height, width = picture.shape[:2]
-    points = rng.uniform(-2, 2, (500, 2)) + rng.uniform(0, 1, (500, 2)) * [width, height]
-    points[:4] = [[0, 0], [width - 1, height - 1], [width - 1, 0], [np.nextafter(width - 1, width), 0]]
-    wanted = sample(picture, points)
-    got = np.array([kernels.light.py_func(Signal(picture, *[np.zeros(0)] * 2, None, np.zeros(0), "").image, *p)
-                    for p in points]) if picture.size else np.full((500, 3), np.nan)  # fmt: skip
-    np.testing.assert_allclose(got[:, : wanted.shape[1]], wanted, rtol=0, atol=TOLERANCE)
-    outside = ((points < 0) | (points > np.array([width, height]) - 1)).any(1)
-    assert np.isnan(wanted[outside]).all() and np.isfinite(wanted[~outside]).all()
+    height, width, channels = picture.shape
+    for angle in [*np.radians([0, 45, 90, 180, 225, 270]), *rng.uniform(-np.pi, np.pi, 20)]:
+        origin = rng.uniform(-2, 2, 2) + rng.uniform(0, 1, 2) * [width, height]
+        way = np.array([np.cos(angle), np.sin(angle)])
+        low, step, out = -30.0, rng.uniform(0.4, 1.2), np.zeros((9, 60))
+        points = origin + (low + step * np.arange(60.0))[:, None] * way
+        wanted = sample_across(picture, points, way, lines)
+        arguments = (tuple(origin), tuple(way), 0.0, low, step, lines, out, out, 3)
+        _sample_line(picture, *arguments)
+        np.testing.assert_allclose(out[3 : 3 + channels].T, wanted, rtol=0, atol=TOLERANCE)
 
 
 @pytest.mark.parametrize(
@@ -210,6 +224,46 @@ def test_falls_find_the_middle_of_a_step() -> None:
         share = 1 / (1 + np.exp((along - place) / 0.6))
         # A parabola through the slope of a symmetric step: right to a twentieth of a sample.
         assert falls.nearest_fall(share[None], along, 0.2)[0] == pytest.approx(place, abs=0.025)
+
+
+def view_or_reason(run: Stages, picture: Picture, scene: Picture | None, tube: Tube, start: Start) -> Any:
+    """What `see` gives with these stages: a view, or why there is none."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("tubesight.vision.see.stages", lambda: run)
+        try:
+            return see("left", picture, scene, CAMERA, tube, start)
+        except Unmeasurable as failure:
+            return str(failure)
+
+
+@pytest.mark.parametrize("shape", ["ball", "round", "flat"])
+@pytest.mark.parametrize("name", ["tube", "gray", "yuyv", "dark", "thin", "at the border", "noise", "black", "nothing"])
+def test_seeing_in_one_call_is_seeing_stage_by_stage(name: str, shape: str) -> None:
+    width = 6.0 if name == "thin" else WIDTH
+    balls = {"tube": drawn_tube(), "gray": gray(drawn_tube())} if shape == "ball" else {}
+    picture = balls.get(name, PICTURES[name])
+    tube = Tube(1.0, Tip(shape, 1.4 if shape == "ball" else None), clamped=True)
+    scene = SCENES.get(name)
+    for behind in [None] if scene is None or scene.shape != picture.shape else [None, scene]:
+        start = Start(START, WAY, width)
+        one, other = (view_or_reason(run, picture, behind, tube, start) for run in (COMPILED_STAGES, READABLE))
+        assert type(one) is type(other)
+        if isinstance(one, str):
+            assert one == other
+            continue
+        assert (one.segmenter, one.notes) == (other.segmenter, other.notes)
+        for a, b in zip(flat(one), flat(other), strict=True):
+            assert np.shape(a) == np.shape(b)
+            np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=0, atol=TOLERANCE)
+        assert not any(a.flags.writeable for a in flat(one) if isinstance(a, np.ndarray))
+
+
+def test_the_common_case_is_one_call() -> None:
+    start = Start(START, WAY, WIDTH)
+    tube = Tube(1.0, Tip("ball", 1.4), clamped=True)
+    assert COMPILED_STAGES.see_from_base is not None
+    found = COMPILED_STAGES.see_from_base("left", drawn_tube(), None, CAMERA, tube, start.px, start.way, start.width_px)
+    assert found is not None
 
 
 def test_readable_stages_see_without_compiling(monkeypatch: pytest.MonkeyPatch) -> None:

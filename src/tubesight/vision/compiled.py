@@ -6,12 +6,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from tubesight.core import Array, Image
+from tubesight.core import Array, Image, Tube
 from tubesight.geometry.camera import Camera
 from tubesight.vision import entry_kernels as entry
+from tubesight.vision import see_kernels
 from tubesight.vision.ending import FOUND, Ending
 from tubesight.vision.signal import Signal, planes
+from tubesight.vision.silhouette import REASONS
 from tubesight.vision.tip import Contour
+from tubesight.vision.view import TipView, View, gap_notes
 from tubesight.vision.walker import Track
 
 _NOTHING = np.empty((0, 0, 1), np.uint8)
@@ -121,3 +124,45 @@ def tube_rays(
     flat, places = _optics(camera), (_pair(heading), _pair(tip_px))
     edges, unit, middle, px, base, rough = entry.tube_rays(*flat, edges_px, *places, near_px, room_px, _pair(base_px))
     return edges, unit, middle, px, np.array([*base, 1.0]), rough
+
+
+_SHAPES = {"round": see_kernels.ROUND, "flat": see_kernels.FLAT, "ball": see_kernels.BALL}
+
+
+def see_from_base(
+    name: str,
+    image: Image,
+    background: Image | None,
+    camera: Camera,
+    tube: Tube,
+    start_px: Array,
+    way: Array,
+    width_px: float,
+) -> View | None:
+    """See `see.see`, in one call; None where a stage does not succeed at its first attempt, and for other tubes."""
+    if tube.tip.shape not in _SHAPES or tube.diameter_mm is None:
+        return None
+    image = planes(image)
+    behind = _NOTHING if background is None else planes(background)
+    if background is not None and behind.shape != image.shape:
+        return None
+    ratio = (tube.tip.diameter_mm or tube.diameter_mm) / tube.diameter_mm if tube.tip.shape == "ball" else 1.0
+    why, edges, unit, rays, centreline, gaps, points, few, seen = entry.see_from_base(
+        image,
+        behind,
+        _pair(start_px),
+        _pair(way),
+        width_px,
+        *_optics(camera),
+        camera.focal_px,
+        _SHAPES[tube.tip.shape],
+        ratio,
+    )
+    if why == see_kernels.DOUBTFUL:
+        return None
+    numbers = np.array([*few[:2], 1.0, *few[2:6], *seen[:5]])
+    tip = TipView.of_own(numbers[7:10], numbers[10:], seen[5], points, seen[6], seen[7])
+    notes = gap_notes(gap for gap in gaps.tolist() if gap > 1.0)
+    return View.of_own(
+        name, edges, unit, rays, centreline, numbers[:3], tip, numbers[3:5], numbers[5:7], few[6], REASONS[why], notes
+    )

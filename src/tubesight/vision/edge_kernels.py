@@ -11,7 +11,7 @@ import numpy as np
 from tubesight.core import Array
 from tubesight.core.kernels import part, short_part
 from tubesight.vision import edges
-from tubesight.vision.kernels import Picture, light
+from tubesight.vision.line_kernels import Picture, sample_line
 from tubesight.vision.math_kernels import Count, median
 
 ROOT_2_PI = float(np.sqrt(2 * np.pi))
@@ -37,39 +37,30 @@ def window(blur: float, depth: float) -> tuple[float, int]:
 
 @part
 def colour_profiles(
-    picture: Picture, origin: Array, way: Array, every: Count, low: float, step: float, count: int, apart: float
+    picture: Picture, origin: Array, way: Array, every: Count, low: float, step: float, count: int, lines: int
 ) -> tuple[Array, Array]:
-    """Twin of `edges.colour_profiles` on every so many-th line: colours of the picture, and of the empty scene.
-
-    The samples are the mean of two lines at a distance to both sides, or of one (0).
-    """
+    """Twin of `edges.colour_profiles` on every so many-th line: colours (3 N, L) of the picture and the empty scene."""
     image, scene, colours = picture
     rows = (len(origin) + every - 1) // every
     with_scene = scene.shape[0] > 0
-    colour, behind = np.empty((rows, count, 3)), np.empty((rows if with_scene else 0, count, 3))
+    colour, behind = np.empty((3 * rows, count)), np.empty((3 * rows if with_scene else 0, count))
+    at = np.empty((3, count))
     for n in range(rows):
-        x, y, dx, dy = origin[n * every, 0], origin[n * every, 1], way[n * every, 0], way[n * every, 1]
-        for k in range(count):
-            a = low + step * k
-            px, py = x + a * dx, y + a * dy
-            r, g, b = light(image, px - apart * dy, py + apart * dx)
-            if apart > 0:
-                u, v, w = light(image, px + apart * dy, py - apart * dx)
-                r, g, b = (r + u) / 2, (g + v) / 2, (b + w) / 2
-            colour[n, k, 0], colour[n, k, 1], colour[n, k, 2] = r, g, b
-            if with_scene:
-                r, g, b = light(scene, px - apart * dy, py + apart * dx)
-                if apart > 0:
-                    u, v, w = light(scene, px + apart * dy, py - apart * dx)
-                    r, g, b = (r + u) / 2, (g + v) / 2, (b + w) / 2
-                behind[n, k, 0], behind[n, k, 1], behind[n, k, 2] = r * colours[6], g * colours[7], b * colours[8]
+        m = n * every
+        start, direction = (origin[m, 0], origin[m, 1]), (way[m, 0], way[m, 1])
+        sample_line(image, start, direction, 0.0, low, step, lines, at, colour, 3 * n)
+        if with_scene:
+            sample_line(scene, start, direction, 0.0, low, step, lines, at, behind, 3 * n)
+            for c in range(3):
+                for k in range(count):
+                    behind[3 * n + c, k] *= colours[6 + c]
     return colour, behind
 
 
 @part
 def interpolate(rows: Array, n: int, low: float, step: float, place: float) -> float:
     """Twin of `edges.interpolate` for one place on row n of (N, L)."""
-    position = (place - low) / step
+    position = (place - low) * (1 / step)
     last = rows.shape[1] - 1
     if not (position >= 0 and position <= last):
         return np.nan
@@ -88,59 +79,45 @@ def mean_between(rows: Array, n: int, low: float, step: float, first: float, las
 
 
 @part
-def mean_colour(colour: Array, n: int, low: float, step: float, first: float, last: float, out: Array) -> None:
-    """Mean colour of row n between two places, into row n of `out` (N, 3)."""
-    end = colour.shape[1] - 1
-    r = g = b = 0.0
-    for k in range(edges.PLATEAU_SAMPLES):
-        position = (first + k * (last - first) / (edges.PLATEAU_SAMPLES - 1) - low) / step
-        if not (position >= 0 and position <= end):
-            r = g = b = np.nan
-            break
-        left = min(int(position), end - 1)
-        t = position - left
-        r += colour[n, left, 0] * (1 - t) + colour[n, left + 1, 0] * t
-        g += colour[n, left, 1] * (1 - t) + colour[n, left + 1, 1] * t
-        b += colour[n, left, 2] * (1 - t) + colour[n, left + 1, 2] * t
-    samples = edges.PLATEAU_SAMPLES
-    out[n, 0], out[n, 1], out[n, 2] = r / samples, g / samples, b / samples
-
-
-@part
-def running_median(values: Array, column: Count) -> None:
-    """Twin of `edges._running_median` for one column of (N, C), in place."""
-    count = len(values)
-    half = min(edges.NEIGHBOURS, count - 1)
-    source, near = np.empty(count), np.empty(2 * edges.NEIGHBOURS + 1)
+def running_median(rows: Array, row: int) -> None:
+    """Twin of `edges._running_median` for one row of (R, N), in place, without a branch that depends on the values."""
+    count, half = rows.shape[1], edges.NEIGHBOURS
+    near, inf = np.empty(count + 2 * half), np.inf
+    for k in range(count + 2 * half):
+        m = abs(k - half)
+        m = 2 * (count - 1) - m if m >= count else m
+        value = rows[row, max(m, 0)]
+        near[k] = value if m >= 0 and value == value else inf
     for n in range(count):
-        source[n] = values[n, column]
-    for n in range(count):
-        found = 0
-        for k in range(n - half, n + half + 1):
-            m = abs(k)
-            m = 2 * (count - 1) - m if m >= count else m
-            value = source[m]
-            if not np.isnan(value):
-                j = found
-                while j > 0 and near[j - 1] > value:
-                    near[j] = near[j - 1]
-                    j -= 1
-                near[j] = value
-                found += 1
-        values[n, column] = 0.5 * (near[(found - 1) // 2] + near[found // 2]) if found > 0 else np.nan
+        a, b, c, d, e = near[n], near[n + 1], near[n + 2], near[n + 3], near[n + 4]
+        found = int(a < inf) + int(b < inf) + int(c < inf) + int(d < inf) + int(e < inf)
+        # The smallest three of five in order; what is missing comes last.
+        a, b = min(a, b), max(a, b)
+        d, e = min(d, e), max(d, e)
+        c, e = min(c, e), max(c, e)
+        c, d = min(c, d), max(c, d)
+        b, e = min(b, e), max(b, e)
+        a, d = min(a, d), max(a, d)
+        a, c = min(a, c), max(a, c)
+        b, d = min(b, d), max(b, d)
+        b, c = min(b, c), max(b, c)
+        lower = a if found <= 2 else (b if found <= 4 else c)
+        upper = a if found <= 1 else (b if found <= 3 else c)
+        rows[row, n] = 0.5 * (lower + upper) if found > 0 else np.nan
 
 
 @part
 def both_sides(colour: Array, low: float, step: float, edge: Array, sigma: float, gray: bool) -> tuple[Array, Array]:
-    """Twin of `edges.both_sides`: colours (N, 3) of tube and cloth."""
+    """Twin of `edges.both_sides`: colours (3, N) of tube and cloth."""
     inside, outside = clear_of_edge(sigma)
-    rows = len(colour)
-    tube, cloth = np.empty((rows, 3)), np.empty((rows, 3))
+    rows, channels = len(colour) // 3, 1 if gray else 3
+    tube, cloth = np.zeros((3, rows)), np.zeros((3, rows))
     for n in range(rows):
         e = edge[n]
-        mean_colour(colour, n, low, step, e - inside - edges.HIGH_PX, e - inside, tube)
-        mean_colour(colour, n, low, step, e + outside, e + outside + edges.LOW_PX, cloth)
-    for c in range(1 if gray else 3):
+        for c in range(channels):
+            tube[c, n] = mean_between(colour, 3 * n + c, low, step, e - inside - edges.HIGH_PX, e - inside)
+            cloth[c, n] = mean_between(colour, 3 * n + c, low, step, e + outside, e + outside + edges.LOW_PX)
+    for c in range(channels):
         running_median(tube, c)
         running_median(cloth, c)
     return tube, cloth
@@ -151,16 +128,16 @@ def local_share(
     colour: Array, behind: Array, tube: Array, cloth: Array, chroma: float, gray: bool, share: Array
 ) -> None:
     """Twin of `edges.local_share`; writes the share (N, L)."""
-    rows, count, _ = colour.shape
+    rows, count = share.shape
     scene, weight = len(behind) > 0, chroma * chroma
     r = g = b = wr = wg = wb = 0.0
     for n in range(rows):
         for k in range(count):
             if k == 0 or scene:
-                r, g, b = cloth[n, 0], cloth[n, 1], cloth[n, 2]
+                r, g, b = cloth[0, n], cloth[1, n], cloth[2, n]
                 if scene:
-                    r, g, b = behind[n, k, 0], behind[n, k, 1], behind[n, k, 2]
-                u, v, w = tube[n, 0] - r, tube[n, 1] - g, tube[n, 2] - b
+                    r, g, b = behind[3 * n, k], behind[3 * n + 1, k], behind[3 * n + 2, k]
+                u, v, w = tube[0, n] - r, tube[1, n] - g, tube[2, n] - b
                 wr, wg, wb = u, v, w
                 if not gray:
                     wr = wg = wb = 0.0
@@ -170,7 +147,9 @@ def local_share(
                         wb += (LUMA[2, d] + weight * RED_BLUE[2, d]) * off
                 power = max(wr * u + wg * v + wb * w, edges.POWER_MIN)
                 wr, wg, wb = wr / power, wg / power, wb / power
-            share[n, k] = (colour[n, k, 0] - r) * wr + (colour[n, k, 1] - g) * wg + (colour[n, k, 2] - b) * wb
+            share[n, k] = (
+                (colour[3 * n, k] - r) * wr + (colour[3 * n + 1, k] - g) * wg + (colour[3 * n + 2, k] - b) * wb
+            )
 
 
 @part
@@ -190,11 +169,10 @@ def half_level(
     last = min(int((position + reach - low) / step) + 2, share.shape[1] - 1)
     for k in range(first, last):
         above, below = share[n, k] - level, share[n, k + 1] - level
-        if above >= 0 and below < 0:
-            place = low + step * k + step * above / (above - below)
-            off = abs(place - position)
-            if off <= reach and off < nearest:
-                best, nearest = place, off
+        place = low + step * k + step * above / (above - below)
+        off = abs(place - position)
+        nearer = (above >= 0) & (below < 0) & (off <= reach) & (off < nearest)
+        best, nearest = (place, off) if nearer else (best, nearest)
     return best, drop
 
 
@@ -231,7 +209,7 @@ def measure_way(
     """Twin of `edges._measure`: writes positions and drops (N,)."""
     rows = len(share)
     inside, _ = clear_of_edge(blur)
-    rise, high = np.empty((rows, 1)), np.empty(rows)
+    rise, high = np.empty((1, rows)), np.empty(rows)
     for n in range(rows):
         position[n] = guess[n]
     for _ in range(passes):
@@ -239,10 +217,10 @@ def measure_way(
             first = position[n] - inside
             deep = first - edges.DEEPER_PX
             high[n] = mean_between(share, n, low, step, first - edges.HIGH_PX, first)
-            rise[n, 0] = (mean_between(share, n, low, step, deep - edges.HIGH_PX, deep) - high[n]) / edges.DEEPER_PX
-        running_median(rise, np.int64(0))
+            rise[0, n] = (mean_between(share, n, low, step, deep - edges.HIGH_PX, deep) - high[n]) / edges.DEEPER_PX
+        running_median(rise, 0)
         for n in range(rows):
-            r = 0.0 if np.isnan(rise[n, 0]) else min(max(rise[n, 0], -edges.RISE_MAX), edges.RISE_MAX)
+            r = 0.0 if np.isnan(rise[0, n]) else min(max(rise[0, n], -edges.RISE_MAX), edges.RISE_MAX)
             position[n], drop[n] = half_level(share, n, low, step, position[n], high[n], blur, r)
 
 
@@ -263,7 +241,7 @@ def measure_edges(
     colour: Array, behind: Array, low: float, step: float, guess: Array, blur: float, gray: bool
 ) -> tuple[Array, Array, float]:
     """Twin of `edges.measure_edges`: positions and drops (N,), and the doubt."""
-    rows, count, _ = colour.shape
+    rows, count = len(colour) // 3, colour.shape[1]
     position, drop, share = np.empty(rows), np.empty(rows), np.empty((rows, count))
     tube, cloth = both_sides(colour, low, step, guess, blur, gray)
     local_share(colour, behind, tube, cloth, 1.0 if gray else edges.CHROMA[0], gray, share)
@@ -284,7 +262,7 @@ def measure_edges(
 @part
 def blur_of(colour: Array, behind: Array, low: float, step: float, depth: float, gray: bool) -> float:
     """Twin of `edges.blur_of` where all guesses are 0."""
-    rows = len(colour)
+    rows = len(colour) // 3
     sigmas, found, share = np.empty(rows), np.int64(0), np.empty((rows, colour.shape[1]))
     tube, cloth = both_sides(colour, low, step, np.zeros(rows), edges.SIGMA_FIRST_PX, gray)
     local_share(colour, behind, tube, cloth, 1.0, gray, share)

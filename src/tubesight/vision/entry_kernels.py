@@ -8,16 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from numba import types
 
 from tubesight.core import Array, Image
-from tubesight.core.kernels import compiled, part, short_part
-from tubesight.vision import kernels, ray_kernels, scan_kernels, silhouette, tip_kernels
-from tubesight.vision.kernels import Numbers, Picture, light
-from tubesight.vision.math_kernels import median
+from tubesight.core.kernels import compiled
+from tubesight.vision import colour_kernels, kernels, ray_kernels, scan_kernels, see_kernels, tip_kernels
+from tubesight.vision.line_kernels import Numbers, Picture
 from tubesight.vision.ray_kernels import Optics
-from tubesight.vision.signal import LINEAR_LIGHT
 
 Pair = tuple[float, float]
 
@@ -52,87 +49,11 @@ def entry(*arguments: Any) -> Callable[[Callable[..., Any]], Entry]:
     return lambda function: Entry(function, arguments)
 
 
-@part
-def middle_colour(
-    image: Image, start: Numbers, way: Numbers, width: float, offsets: Array, count: int, colour: Array
-) -> None:
-    """Twin of `silhouette._middle_colour` beside the first piece of a tube at the first `count` offsets, in widths."""
-    values, found = np.empty((3, silhouette.ALONG_COUNT * count)), np.int64(0)
-    for k in range(silhouette.ALONG_COUNT):
-        s = along_first(k) * width
-        for i in range(count):
-            offset = offsets[i] * width
-            a, b, c = light(image, start[0] + s * way[0] + offset * way[1], start[1] + s * way[1] - offset * way[0])
-            if not np.isnan(a):
-                values[0, found], values[1, found], values[2, found] = a, b, c
-                found += 1
-    for c in range(3):
-        colour[c] = median(values[c], found) if found >= silhouette.SAMPLES_MIN else np.nan
-
-
-@short_part
-def along_first(k: int) -> float:
-    """Places of samples along the first piece of a tube, widths."""
-    low, high = silhouette.ALONG_WIDTHS
-    return low + k * (high - low) / (silhouette.ALONG_COUNT - 1)
-
-
-@part
-def brightness(image: Image, behind: Image, colours: Array) -> None:
-    """Twin of `silhouette._gain`; writes the third row of (3, 3)."""
-    height, width, channels = image.shape
-    n = silhouette.GAIN_GRID
-    values = np.empty(n * n)
-    for c in range(channels):
-        found = np.int64(0)
-        for i in range(n):
-            row = (2 * i + 1) * height // (2 * n)
-            for j in range(n):
-                column = (2 * j + 1) * width // (2 * n)
-                empty = LINEAR_LIGHT[behind[row, column, c]]
-                if empty > silhouette.LIT[0] and empty < silhouette.LIT[1]:
-                    values[found] = LINEAR_LIGHT[image[row, column, c]] / empty
-                    found += 1
-        if found > silhouette.GAIN_MIN_COUNT:
-            colours[2, c] = median(values, found)
-
-
-@part
-def difference(image: Image, behind: Image, gain: Array, start: Numbers, way: Numbers, width: float) -> float:
-    """Median of what a picture and its background (times a gain) differ by inside of the first piece of a tube."""
-    n = silhouette.INSIDE_COUNT
-    values, found = np.empty(silhouette.ALONG_COUNT * n), np.int64(0)
-    for k in range(silhouette.ALONG_COUNT):
-        s = along_first(k) * width
-        for i in range(n):
-            offset = (-1 + 2 * i / (n - 1)) * silhouette.INSIDE_WIDTHS * width
-            x, y = start[0] + s * way[0] + offset * way[1], start[1] + s * way[1] - offset * way[0]
-            a, b, c = light(image, x, y)
-            p, q, r = light(behind, x, y)
-            off = max(abs(a - p * gain[0]), max(abs(b - q * gain[1]), abs(c - r * gain[2])))
-            if not np.isnan(a):
-                values[found] = off
-                found += 1
-    return median(values, found) if found > 0 else np.nan
-
-
 @entry(IMAGE, IMAGE, PLACE, PLACE, NUMBER)
-def learn(image: Image, behind: Image, start: Numbers, way: Numbers, width: float) -> tuple[Array, float]:
-    """Twin of `silhouette.learn`: tube, cloth and gain (3, 3), and the difference."""
-    inside, beside = silhouette.INSIDE_COUNT, silhouette.BESIDE_COUNT
-    colours, offsets = np.ones((3, 3)), np.empty(2 * beside)
-    for i in range(inside):
-        offsets[i] = (-1 + 2 * i / (inside - 1)) * silhouette.INSIDE_WIDTHS
-    middle_colour(image, start, way, width, offsets, inside, colours[0])
-    low, high = silhouette.BESIDE_WIDTHS
-    for i in range(beside):
-        offsets[i] = low + i * (high - low) / (beside - 1)
-        offsets[beside + i] = -offsets[i]
-    middle_colour(image, start, way, width, offsets, 2 * beside, colours[1])
-    if behind.shape[0] == 0:
-        return colours, np.nan
-    brightness(image, behind, colours)
-    return colours, difference(image, behind, colours[2], start, way, width)
+def learn(  # noqa: D103
+    image: Image, behind: Image, start: Numbers, way: Numbers, width: float
+) -> tuple[Array, float]:
+    return colour_kernels.learn(image, behind, start, way, width)
 
 
 @entry(*PICTURE, PLACE, PLACE, NUMBER, FLAG)
@@ -212,3 +133,22 @@ def tube_rays(  # noqa: D103
     base: Numbers,
 ) -> tuple[Array, Array, Array, Array, Numbers, Array]:
     return ray_kernels.tube_rays(Optics(matrix, k, equidistant), edges, heading, tip, near, room, base)
+
+
+@entry(IMAGE, IMAGE, PLACE, PLACE, NUMBER, *OPTICS, NUMBER, types.int64, NUMBER)
+def see_from_base(  # noqa: D103
+    image: Image,
+    behind: Image,
+    start: Pair,
+    way: Numbers,
+    width: float,
+    matrix: Numbers,
+    k: Numbers,
+    equidistant: bool,
+    focal: float,
+    shape: int,
+    ratio: float,
+) -> see_kernels.Seen:
+    return see_kernels.see_from_base(
+        image, behind, start, way, width, Optics(matrix, k, equidistant), focal, shape, ratio
+    )

@@ -1,96 +1,14 @@
-"""Compiled twins: sampling, the walk along the tube, and its end (`signal`, `falls`, `pairs`, `walker`, `ending`).
-
-Same names, same numbers. Colours are triples; a gray picture has (gray, 0, 0). The colours of a
-`tubesight.vision.signal.Signal` are eleven numbers: tube, cloth, gain, and how far both forgive shading. Points and
-ways are pairs of numbers. What is called often gets no slices of arrays: counting references to them takes longer than
-the work.
-"""
+"""Compiled twins: the walk along the tube, and its end (`falls`, `pairs`, `walker`, `ending`)."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from tubesight.core import Array, Image
+from tubesight.core import Array
 from tubesight.core.kernels import part, short_part
 from tubesight.vision import ending, falls, pairs, walker
-from tubesight.vision.math_kernels import Count, median, parabola
-from tubesight.vision.signal import LINEAR_LIGHT, NOISE, SHADING_CLOTH
-
-Numbers = tuple[float, ...]
-
-
-class Picture(NamedTuple):
-    """A picture (H, W, C), the empty scene (or nothing: no rows), and the numbers of the colours."""
-
-    image: Image
-    behind: Image
-    colours: Numbers
-
-
-@part
-def light(image: Image, x: float, y: float) -> tuple[float, float, float]:
-    """Bilinear sample in linear light; NaN outside the picture, and never a look outside of it."""
-    height, width, channels = image.shape
-    if not (x >= 0.0 and y >= 0.0 and x <= width - 1 and y <= height - 1):
-        return np.nan, np.nan, np.nan
-    column, row = int(x), int(y)
-    u, v = x - column, y - row
-    # Unsigned: an index that may be negative costs a comparison each time.
-    left, top = np.uint64(column), np.uint64(row)
-    right, below = np.uint64(min(column + 1, width - 1)), np.uint64(min(row + 1, height - 1))
-    value = (0.0, 0.0, 0.0)
-    a = LINEAR_LIGHT[image[top, left, 0]] * (1 - u) + LINEAR_LIGHT[image[top, right, 0]] * u
-    b = LINEAR_LIGHT[image[below, left, 0]] * (1 - u) + LINEAR_LIGHT[image[below, right, 0]] * u
-    first = a * (1 - v) + b * v
-    if channels < 3:
-        return first, value[1], value[2]
-    a = LINEAR_LIGHT[image[top, left, 1]] * (1 - u) + LINEAR_LIGHT[image[top, right, 1]] * u
-    b = LINEAR_LIGHT[image[below, left, 1]] * (1 - u) + LINEAR_LIGHT[image[below, right, 1]] * u
-    second = a * (1 - v) + b * v
-    a = LINEAR_LIGHT[image[top, left, 2]] * (1 - u) + LINEAR_LIGHT[image[top, right, 2]] * u
-    b = LINEAR_LIGHT[image[below, left, 2]] * (1 - u) + LINEAR_LIGHT[image[below, right, 2]] * u
-    return first, second, a * (1 - v) + b * v
-
-
-@part
-def profile(
-    picture: Picture, origin: Numbers, way: Numbers, bend: float, low: float, step: float, lines: Numbers, out: Array
-) -> float:
-    """Likeness (L,) along a line, as `edges.profiles` gives it, and the largest.
-
-    The line bends to the left by so much per pixel; `lines` are the number of parallel lines and their distance from
-    each other.
-    """
-    image, behind, colours = picture
-    t0, t1, t2, c0, c1, c2, g0, g1, g2, tube_forgives, cloth_forgives = colours
-    empty, noise, shading = behind.shape[0] == 0, NOISE * NOISE, SHADING_CLOTH * SHADING_CLOTH
-    dx, dy = way
-    count, spread = lines
-    most = 0.0
-    for k in range(len(out)):
-        a = low + step * k
-        off = bend * a * a / 2 - (count - 1) * spread / 2
-        x, y = origin[0] + a * dx + off * dy, origin[1] + a * dy - off * dx
-        total = 0.0
-        for _ in range(int(count)):
-            r, g, b = light(image, x, y)
-            u, v, w = r - t0, g - t1, b - t2
-            along = u * t0 + v * t1 + w * t2
-            from_tube = u * u + v * v + w * w - along * along * tube_forgives
-            if not empty:
-                c0, c1, c2 = light(behind, x, y)
-                c0, c1, c2 = c0 * g0, c1 * g1, c2 * g2
-                cloth_forgives = shading / (noise + shading * (c0 * c0 + c1 * c1 + c2 * c2))
-            u, v, w = r - c0, g - c1, b - c2
-            along = u * c0 + v * c1 + w * c2
-            from_cloth = u * u + v * v + w * w - along * along * cloth_forgives
-            total += from_cloth / (from_tube + from_cloth + noise)
-            x, y = x + spread * dy, y - spread * dx
-        out[k] = total / count
-        most = max(most, out[k])
-    return most
+from tubesight.vision.line_kernels import FALLS, SHARE, SMOOTH, WORK_ROWS, Numbers, Picture, profile
+from tubesight.vision.math_kernels import Count, length, median, parabola
 
 
 @short_part
@@ -106,45 +24,45 @@ def reach_of(width_px: float) -> float:
 
 
 @part
-def find_falls(share: Array, low: float, step: float, reach_px: float, falls_at: Array, side: Count) -> Count:
-    """Twin of `falls.falls` for one profile (L,): the number of peaks, and of each its place, drop and slope.
+def find_falls(work: Array, low: float, step: float, reach_px: float, side: int) -> int:
+    """Twin of `falls.falls` for the row `SHARE` of `work`: the number of peaks, and of each its place, drop and slope.
 
-    They are written to `falls_at` (sides, L, 3).
+    They are written to the rows from `FALLS` on, another three for the other side.
     """
-    last = len(share) - 1
+    last, first = work.shape[1] - 1, FALLS + 3 * side
     for k in range(last + 1):
-        if np.isnan(share[k]):
-            share[k] = 0.0
-    smooth = np.empty(last + 1)
+        if np.isnan(work[SHARE, k]):
+            work[SHARE, k] = 0.0
     for k in range(last + 1):
-        outer = share[max(k - 2, 0)] + share[min(k + 2, last)]
-        smooth[k] = (outer + 4 * (share[max(k - 1, 0)] + share[min(k + 1, last)]) + 6 * share[k]) / 16
+        outer = work[SHARE, max(k - 2, 0)] + work[SHARE, min(k + 2, last)]
+        inner = work[SHARE, max(k - 1, 0)] + work[SHARE, min(k + 1, last)]
+        work[SMOOTH, k] = (outer + 4 * inner + 6 * work[SHARE, k]) / 16
     reach = int(reach_px / step)
     found = 0
-    before, here = 0.0, (smooth[0] - smooth[2]) / (2 * step)
+    before, here = 0.0, (work[SMOOTH, 0] - work[SMOOTH, 2]) / (2 * step)
     for k in range(1, last):
-        after = (smooth[k] - smooth[k + 2]) / (2 * step) if k + 2 <= last else 0.0
+        after = (work[SMOOTH, k] - work[SMOOTH, k + 2]) / (2 * step) if k + 2 <= last else 0.0
         if here > before and here >= after and here > 0:
             offset = 0.5 * (before - after) / (before - 2 * here + after)
-            falls_at[side, found, 0] = low + step * k + step * offset
-            falls_at[side, found, 1] = smooth[max(k - reach, 0)] - smooth[min(k + reach, last)]
-            falls_at[side, found, 2] = here
+            work[first, found] = low + step * k + step * offset
+            work[first + 1, found] = work[SMOOTH, max(k - reach, 0)] - work[SMOOTH, min(k + reach, last)]
+            work[first + 2, found] = here
             found += 1
         before, here = here, after
     return found
 
 
 @part
-def nearest_fall(share: Array, low: float, step: float, drop_min: float, scratch: Array) -> float:
-    """Twin of `falls.nearest_fall` for one profile (L,); scratch (1, L, 3)."""
-    found = find_falls(share, low, step, falls.REACH_PX, scratch, np.int64(0))
+def nearest_fall(work: Array, low: float, step: float, drop_min: float) -> float:
+    """Twin of `falls.nearest_fall` for the row `SHARE` of `work`."""
+    found = find_falls(work, low, step, falls.REACH_PX, 0)
     steepest, best, nearest = 0.0, np.nan, np.inf
     for k in range(found):
-        steepest = max(steepest, scratch[0, k, 2])
+        steepest = max(steepest, work[FALLS + 2, k])
     for k in range(found):
-        off = abs(scratch[0, k, 0])
-        if scratch[0, k, 2] >= 0.5 * steepest and scratch[0, k, 1] > drop_min and off < nearest:
-            best, nearest = scratch[0, k, 0], off
+        off = abs(work[FALLS, k])
+        if work[FALLS + 2, k] >= 0.5 * steepest and work[FALLS + 1, k] > drop_min and off < nearest:
+            best, nearest = work[FALLS, k], off
     return best
 
 
@@ -154,18 +72,19 @@ def best_pair(
 ) -> tuple[float, float, float, bool]:
     """Twin of `pairs._best_pair`."""
     step = spacing(width)
-    count = int((high - low) / step) + 2
-    share, found = np.empty(count), np.empty((2, count, 3))
-    peaks, most = np.empty(2, dtype=np.int64), 0.0
+    work = np.empty((WORK_ROWS, int((high - low) / step) + 2))
+    peaks, other_peaks, seen = 0, 0, False
     for side in range(2):
         sign = 1.0 - 2 * side
-        most = max(most, profile(picture, middle, (sign * way[1], -sign * way[0]), 0.0, low, step, (1.0, 0.0), share))
-        peaks[side] = find_falls(share, low, step, reach_of(width), found, side)
+        profile(picture, middle, (sign * way[1], -sign * way[0]), 0.0, low, step, (1.0, 0.0, 1.0), work)
+        for k in range(work.shape[1]):
+            seen |= work[SHARE, k] > pairs.SHARE_SEEN
+        peaks, other_peaks = other_peaks, find_falls(work, low, step, reach_of(width), side)
     best, left, right = -np.inf, 0.0, 0.0
-    for i in range(peaks[0]):
-        for j in range(peaks[1]):
-            a, b = found[0, i, 0], found[1, j, 0]
-            one, other = found[0, i, 1], found[1, j, 1]
+    for i in range(peaks):
+        for j in range(other_peaks):
+            a, b = work[FALLS, i], work[FALLS + 3, j]
+            one, other = work[FALLS + 1, i], work[FALLS + 4, j]
             if one > pairs.DROP_MIN and other > pairs.DROP_MIN and a + b > pairs.WIDTH_MIN_PX:
                 off = (a - b) / 2 / (pairs.MIDDLE_OFF * width + pairs.OFF_PX)
                 score = min(one, 1.0) + min(other, 1.0) - off * off
@@ -174,7 +93,7 @@ def best_pair(
                     score -= off * off
                 if score > best:
                     best, left, right = score, a, b
-    return best, left, right, most > pairs.SHARE_SEEN
+    return best, left, right, seen
 
 
 @short_part
@@ -293,7 +212,7 @@ def last_way(middles: Array) -> tuple[Numbers, Numbers, float]:
     t, scale = np.empty(used), 1e-9
     for k in range(used):
         n = last + 1 - used + k
-        t[k] = -np.hypot(middles[n, 0] - middles[last, 0], middles[n, 1] - middles[last, 1])
+        t[k] = -length(middles[n, 0] - middles[last, 0], middles[n, 1] - middles[last, 1])
         scale = max(scale, -t[k])
     for k in range(used):
         t[k] /= scale
@@ -313,14 +232,14 @@ def end_of_tube(
     step, border = spacing(width), ending.BORDER_PX
     count = int((reach + width) / step) + 2
     height, columns, _ = picture.image.shape
-    before, known, level, some = np.empty(count), np.int64(0), np.nan, np.empty(ending.CHUNK)
+    before, known, level, some = np.empty(count), np.int64(0), np.nan, np.empty((WORK_ROWS, ending.CHUNK))
     quiet = max(int(ending.QUIET_WIDTHS * width / step), ending.QUIET_SAMPLES)
     silent = unseen = 0
     for k in range(count):
         a = -width + step * k
         if k % ending.CHUNK == 0:
-            profile(picture, start, way, bend, a, step, (float(ending.LINES), ending.SPREAD * width), some)
-        share = some[k % ending.CHUNK]
+            profile(picture, start, way, bend, a, step, (float(ending.LINES), ending.SPREAD * width, 1.0), some)
+        share = some[SHARE, k % ending.CHUNK]
         if a <= 0:
             if not np.isnan(share):
                 before[known] = share

@@ -14,19 +14,19 @@ from tubesight.vision.view import TipView
 from tubesight.vision.walker import Track
 
 # The end of the tube is looked for within this many widths and ball diameters of the last pair of edges.
-_REACH_WIDTHS, _REACH_BALLS = 3.0, 1.5
+REACH_WIDTHS, REACH_BALLS = 3.0, 1.5
 # A rounded end is believed when it is this near to half a circle across the way; else the way may be wrong, and a
 # circle whose rms is this share of its own is taken instead.
-_ROUND_SURE_PX, _ROUND_BETTER = 0.5, 0.15
+ROUND_SURE_PX, _ROUND_BETTER = 0.5, 0.15
 # A ball is believed when its contour is this near to a circle on so many of its lines; else it is looked for again with
 # more care, and then beside the way (where a tube turns towards the camera at its end) at these angles.
-_BALL_SURE_PX, _BALL_SURE_SEEN, _BALL_BETTER = 0.35, 0.85, 0.25
+BALL_SURE_PX, BALL_SURE_SEEN, _BALL_BETTER = 0.35, 0.85, 0.25
 _TURNS_RAD = (-0.6, 0.6, -1.2, 1.2)
 # Ratios of ball and tube that are tried where they are not known; each finds balls a quarter larger or smaller.
 _RATIOS_TRIED = (1.0, 1.25, 1.6, 2.0)
 # Largest accepted rms of the contour about the model: a contour that is something else is off by a pixel and more; a
 # rounded end that points at the camera is no half circle.
-_RMS_MAX_PX, _RMS_SHARE = 1.0, 0.05
+RMS_MAX_PX, RMS_SHARE = 1.0, 0.05
 _WHY_NOT = {
     NO_END: "the tube does not end",
     FAINT: "its contour does not stand out",
@@ -52,7 +52,7 @@ def find_tip(
     found = []
     failure = Unmeasurable(Status.TIP_NOT_FOUND)
     for ratio in _ball_ratios(tube):
-        ending = stages.find_end(signal, track.middle_px, track.width_px, _REACH_WIDTHS + _REACH_BALLS * ratio)
+        ending = stages.find_end(signal, track.middle_px, track.width_px, REACH_WIDTHS + REACH_BALLS * ratio)
         try:
             contour = _contour(stages, signal, tube, ending, ratio, blur_px)
             found.append((_tip_view(stages, camera, contour), ending, contour.radius_px))
@@ -102,7 +102,7 @@ def _round_end(stages: Stages, signal: Signal, ending: Ending, radius: float, bl
     """Find a rounded end, or a ball of its size where the way at the end is not known."""
     centre = ending.px - radius * ending.heading
     contour = stages.round_end(signal, centre, ending.heading, radius, blur_px)
-    if contour.outcome == FOUND and contour.rms_px < _ROUND_SURE_PX:
+    if contour.outcome == FOUND and contour.rms_px < ROUND_SURE_PX:
         return contour
     # Near the end of a tube that turns towards the camera its way is not known; its round contour still is.
     ball = stages.ball(signal, centre, ending.heading, radius, ROUND_HALF_RAD, blur_px, False)
@@ -139,28 +139,28 @@ def _turned(heading: Array, angle: float) -> Array:
 
 
 def _sure(ball: Contour) -> bool:
-    return ball.outcome == FOUND and ball.rms_px < _BALL_SURE_PX and ball.seen > _BALL_SURE_SEEN
+    return ball.outcome == FOUND and ball.rms_px < BALL_SURE_PX and ball.seen > BALL_SURE_SEEN
 
 
 def _better(one: Contour, other: Contour) -> Contour:
     """Take the second of two balls where it fits far better, or better while the first is seen on too few lines."""
     if other.outcome != FOUND or one.outcome != FOUND:
         return other if other.outcome == FOUND else one
-    factor = 1.0 if one.seen <= _BALL_SURE_SEEN else _BALL_BETTER
+    factor = 1.0 if one.seen <= BALL_SURE_SEEN else _BALL_BETTER
     return other if other.rms_px / other.seen**2 < factor * one.rms_px / one.seen**2 else one
 
 
 def _tip_view(stages: Stages, camera: Camera, contour: Contour) -> TipView:
     """Turn a contour into rays: the axis of the cone around a ball, or the middle of the end."""
     points, px, rms, angle = contour.points_px, contour.middle_px, contour.rms_px, float("nan")
-    limit = _RMS_MAX_PX
+    limit = RMS_MAX_PX
     if contour.ball:
         axis, px, points, angle, rms = stages.tangent_cone(camera, points)
     else:
         ray = camera.unproject(px)
         axis = ray / np.linalg.norm(ray)
         if np.isfinite(contour.radius_px):
-            limit += _RMS_SHARE * contour.radius_px
+            limit += RMS_SHARE * contour.radius_px
             angle = float(np.arctan(contour.radius_px / camera.focal_px / np.linalg.norm(ray)))
     if not rms <= limit:
         raise Unmeasurable(Status.TIP_NOT_FOUND, detail=f"its contour does not fit (rms {rms:.1f} px)")

@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.core.kernels import part
+from tubesight.core.kernels import part, short_part
 
 # What starts as `np.int64(0)` instead of 0 is compiled once: for 0 itself numba compiles what is called with it again.
 Count = int | np.int64
+
+
+@short_part
+def length(x: float, y: float) -> float:
+    """Length of a vector of pixels: no overflow is to be feared, and `np.hypot` takes five times longer."""
+    return float(np.sqrt(x * x + y * y))
 
 
 @part

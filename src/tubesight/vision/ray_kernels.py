@@ -10,8 +10,8 @@ from tubesight.core import Array
 from tubesight.core.kernels import part, short_part
 from tubesight.geometry import lens
 from tubesight.vision import rays
-from tubesight.vision.kernels import Numbers
-from tubesight.vision.math_kernels import Count, median, solve
+from tubesight.vision.line_kernels import Numbers
+from tubesight.vision.math_kernels import Count, length, median, solve
 
 
 class Optics(NamedTuple):
@@ -61,7 +61,7 @@ def newton(x: float, y: float, u: float, v: float, optics: Optics) -> tuple[floa
     du, dv = place[0] - u, place[1] - v
     determinant = xx * yy - xy * yx
     regular = determinant > lens.DETERMINANT_MIN and xx + yy > 0
-    return (yy * du - xy * dv) / determinant, (xx * dv - yx * du) / determinant, regular, np.hypot(du, dv)
+    return (yy * du - xy * dv) / determinant, (xx * dv - yx * du) / determinant, regular, length(du, dv)
 
 
 @part
@@ -69,7 +69,7 @@ def undistort(u: float, v: float, optics: Optics) -> tuple[float, float]:
     """Twin of `lens.undistort` for one place; NaN where the lens cannot be inverted."""
     x, y = u, v
     if optics.equidistant:
-        angle = min(np.hypot(u, v), lens.ANGLE_MAX_RAD)
+        angle = min(length(u, v), lens.ANGLE_MAX_RAD)
         stretch = (np.sin(angle) / angle if angle > 0 else 1.0) / np.cos(angle)
         x, y = u * stretch, v * stretch
     sx, sy, regular, error = newton(x, y, u, v, optics)
@@ -176,7 +176,7 @@ def roughness(edges: Array, count: Count, side: int) -> float:
         total = 0.0
         ax, ay = edges[n + 1, 0, 0] - edges[n + 1, 1, 0], edges[n + 1, 0, 1] - edges[n + 1, 1, 1]
         bx, by = edges[n + 2, 0, 0] - edges[n + 2, 1, 0], edges[n + 2, 0, 1] - edges[n + 2, 1, 1]
-        a, b = 2 * np.hypot(ax, ay), 2 * np.hypot(bx, by)
+        a, b = 2 * length(ax, ay), 2 * length(bx, by)
         for i, across in ((0, ax / a + bx / b), (1, ay / a + by / b)):
             third = edges[n + 3, side, i] - edges[n, side, i] + 3 * (edges[n + 1, side, i] - edges[n + 2, side, i])
             total += third * across
@@ -194,7 +194,7 @@ def tube_rays(
     middle, px = np.empty((count, 3)), np.empty((count, 2))
     for n in range(count):
         x, y = tip[0] - (edges[n, 0, 0] + edges[n, 1, 0]) / 2, tip[1] - (edges[n, 0, 1] + edges[n, 1, 1]) / 2
-        if np.hypot(x, y) < near and not x * heading[0] + y * heading[1] > room:
+        if length(x, y) < near and not x * heading[0] + y * heading[1] > room:
             continue
         for side in range(2):
             u, v = edges[n, side, 0], edges[n, side, 1]

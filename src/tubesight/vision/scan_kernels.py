@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from tubesight.core import Array, Mask
 from tubesight.core.kernels import part
 from tubesight.vision import edges, walker
-from tubesight.vision.edge_kernels import blur_of, colour_profiles, measure_edges, window
-from tubesight.vision.kernels import Picture
-from tubesight.vision.math_kernels import Count, median
+from tubesight.vision.edge_kernels import blur_of, colour_profiles, measure_edges, running_median, window
+from tubesight.vision.line_kernels import Picture
+from tubesight.vision.math_kernels import Count, length, median
 from tubesight.vision.pairs import DROP_MIN
 
 Rows = NDArray[np.int64]
@@ -22,7 +22,7 @@ def scans_along(places: Array, widths: Array) -> tuple[Array, Array, Array, int]
     last = len(places) - 1
     chord, steps, slope = np.zeros(last + 1), np.empty(last), np.empty((last + 1, 2))
     for k in range(last):
-        steps[k] = max(np.hypot(places[k + 1, 0] - places[k, 0], places[k + 1, 1] - places[k, 1]), 1e-9)
+        steps[k] = max(length(places[k + 1, 0] - places[k, 0], places[k + 1, 1] - places[k, 1]), 1e-9)
         chord[k + 1] = chord[k] + steps[k]
     for k in range(last + 1):
         a, b = max(k - 1, 0), min(k + 1, last)
@@ -45,7 +45,7 @@ def scans_along(places: Array, widths: Array) -> tuple[Array, Array, Array, int]
             square, cube = 3 * (b - a) - 2 * p - q, 2 * (a - b) + p + q
             middle[used, i] = a + t * (p + t * (square + t * cube))
             way[used, i] = p + t * (2 * square + 3 * t * cube)
-        size = np.hypot(way[used, 0], way[used, 1])
+        size = length(way[used, 0], way[used, 1])
         way[used, 0] /= size
         way[used, 1] /= size
         half[used] = (widths[k] * (1 - t) + widths[k + 1] * t) / 2
@@ -56,19 +56,19 @@ def scans_along(places: Array, widths: Array) -> tuple[Array, Array, Array, int]
 @part
 def in_line(offset: Array, side: Count, keep: Mask, rows: Rows) -> None:
     """Twin of `walker._in_line` for one row of (2, N); clears `keep` (K,) where an edge is out of line."""
-    count, near = len(rows), walker.LINE_NEIGHBOURS
-    off, values = np.empty(count), np.empty(max(count, 2 * near + 1))
+    count, few = len(rows), len(rows) <= walker.LINE_NEIGHBOURS
+    off, values, running = np.empty(count), np.empty(count), np.empty((1, count))
     for n in range(count):
-        used = np.int64(0)
-        for k in range(n - near if count > near else 0, n + near + 1 if count > near else count):
-            m = abs(k)
-            m = 2 * (count - 1) - m if m >= count else m
-            values[used] = offset[side, rows[m]]
-            used += 1
-        off[n] = abs(offset[side, rows[n]] - median(values, used))
+        values[n] = running[0, n] = offset[side, rows[n]]
+    if few:
+        running[0, :] = median(values, np.int64(count)) if count > 0 else 0.0
+    else:
+        running_median(running, 0)
+    for n in range(count):
+        off[n] = abs(offset[side, rows[n]] - running[0, n])
     for n in range(count):
         values[n] = off[n]
-    limit = max(walker.LINE_PX, walker.LINE_SIGMAS * median(values, count)) if count > 0 else 0.0
+    limit = max(walker.LINE_PX, walker.LINE_SIGMAS * median(values, np.int64(count))) if count > 0 else 0.0
     for n in range(count):
         keep[n] = keep[n] and off[n] <= limit
 
@@ -91,12 +91,12 @@ def measure(picture: Picture, middles: Array, widths: Array) -> tuple[Array, flo
     reach, blur = edges.FAR_PX + 1.0, np.inf
     for side in range(2):
         count = int(2 * reach / step) + 2
-        lines = colour_profiles(picture, origin[side], ways[side], every, -reach, step, count, edges.LINE_PX)
+        lines = colour_profiles(picture, origin[side], ways[side], every, -reach, step, count, edges.LINES)
         blur = min(blur, blur_of(lines[0], lines[1], -reach, step, depth, gray))
     low, count = window(blur, depth)
     offset, doubt, good = np.empty((2, rows)), np.empty(2), np.ones(rows, dtype=np.bool_)
     for side in range(2):
-        lines = colour_profiles(picture, origin[side], ways[side], np.int64(1), low, step, count, edges.LINE_PX)
+        lines = colour_profiles(picture, origin[side], ways[side], np.int64(1), low, step, count, edges.LINES)
         position, drop, doubt[side] = measure_edges(lines[0], lines[1], low, step, np.zeros(rows), blur, gray)
         for n in range(rows):
             offset[side, n] = position[n] + half[n]

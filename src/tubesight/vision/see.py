@@ -17,13 +17,13 @@ from tubesight.vision.search import find_seed
 from tubesight.vision.signal import Signal
 from tubesight.vision.silhouette import signal_of
 from tubesight.vision.stages import Stages, stages
-from tubesight.vision.view import TipView, View
+from tubesight.vision.view import TipView, View, gap_notes
 from tubesight.vision.walker import Track, walked_edges
 
 # Fewest scans a view needs: below it neither a conic nor a bend can be fitted.
-_SCANS_MIN = 8
+SCANS_MIN = 8
 # Fewest places of a track: with fewer its way is not known.
-_PLACES_MIN = 4
+PLACES_MIN = 4
 # A base that is known to be near is believed where it is nearer to one end than this share of the other end's distance.
 _NEARER = 0.5
 # Far above the picture: the upper end of a tube is nearer to it than the lower one.
@@ -34,7 +34,7 @@ _BEFORE_WIDTHS = 3.0
 # much room. Edges of thinner ones are those of the walk, of which a whole row may be off by so much.
 _THIN_PX, _WALKED_PX = 6.0, 0.1
 # Near the tip (widths) scans count only if they lie before it, by so many pixels and, at a flat end, widths.
-_NEAR_WIDTHS, _ROOM_PX, _ROOM_FLAT_WIDTHS = 1.5, 2.0, 0.15
+NEAR_WIDTHS, ROOM_PX, ROOM_FLAT_WIDTHS = 1.5, 2.0, 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +96,10 @@ def see(
     """
     run = stages()
     if start is not None:
+        if run.see_from_base is not None:
+            view = run.see_from_base(name, image, background, camera, tube, start.px, start.way, start.width_px)
+            if view is not None:
+                return view
         signal, track = _from_base(run, image, background, start)
         if tube.tip.shape == "open":
             return _open_view(name, run, camera, *follow(run, image, background, signal, track), start.px)
@@ -110,14 +114,14 @@ def see(
         track, (tip, ending, radius) = _to_tip(run, signal, forward, camera, tube, base_px)
         base = _first_of(run, signal, track)
         edges, blur, doubt = _measured(run, signal, track)
-    room = _ROOM_PX + (radius if tube.tip.shape == "ball" else 0.0)
+    room = ROOM_PX + (radius if tube.tip.shape == "ball" else 0.0)
     if tube.tip.shape == "flat":
-        room += _ROOM_FLAT_WIDTHS * ending.width_px
-    near = _NEAR_WIDTHS * ending.width_px + room
+        room += ROOM_FLAT_WIDTHS * ending.width_px
+    near = NEAR_WIDTHS * ending.width_px + room
     edges, unit, rays, centreline, first, rough = run.tube_rays(camera, edges, ending.heading, tip.px, near, room, base)
-    if len(edges) < _SCANS_MIN:
+    if len(edges) < SCANS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail=f"{len(edges)} scans")
-    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, _notes(track))
+    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, gap_notes(track.gaps))
 
 
 def _open_view(name: str, run: Stages, camera: Camera, signal: Signal, track: Track, base: Array) -> View:
@@ -125,22 +129,18 @@ def _open_view(name: str, run: Stages, camera: Camera, signal: Signal, track: Tr
     edges, blur, doubt = _measured(run, signal, track)
     last, heading, _ = last_way(track.middle_px)
     edges, unit, rays, centreline, first, rough = run.tube_rays(camera, edges, heading, last, 0.0, 0.0, base)
-    if len(edges) < _SCANS_MIN:
+    if len(edges) < SCANS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail=f"{len(edges)} scans")
     tip = open_tip(rays[-1], centreline[-1])
-    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, _notes(track))
+    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, gap_notes(track.gaps))
 
 
 def _measured(run: Stages, signal: Signal, track: Track) -> tuple[Array, float, Array]:
     """Edges, blur and doubts of a track; those of the walk where the tube is too thin to be measured."""
     edges, blur, doubt = run.measure(signal, track)
-    if len(edges) >= _SCANS_MIN or float(np.median(track.width_px)) > _THIN_PX:
+    if len(edges) >= SCANS_MIN or float(np.median(track.width_px)) > _THIN_PX:
         return edges, blur, doubt
     return walked_edges(track), blur, np.full(2, _WALKED_PX)
-
-
-def _notes(track: Track) -> tuple[str, ...]:
-    return tuple(f"bridged a gap of {g:.1f} widths" for g in track.gaps)
 
 
 def _from_base(run: Stages, image: Image, background: Image | None, start: Start) -> tuple[Signal, Track]:
@@ -152,7 +152,7 @@ def _from_base(run: Stages, image: Image, background: Image | None, start: Start
     track = run.walk_from_base(signal, start.px, start.way, start.width_px)
     if track is None:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="no pair of edges beside the base")
-    if len(track.middle_px) < _PLACES_MIN:
+    if len(track.middle_px) < PLACES_MIN:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="its edges are lost right after the base")
     return signal, track
 
@@ -177,7 +177,7 @@ def _both_ways(run: Stages, image: Image, background: Image | None, resume: bool
         np.concatenate([behind.width_px[:0:-1], ahead.width_px]),
         behind.gaps + ahead.gaps,
     )
-    if len(forward.middle_px) < _PLACES_MIN:
+    if len(forward.middle_px) < PLACES_MIN:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="the edges of what stands out are soon lost")
     return first, last, forward
 

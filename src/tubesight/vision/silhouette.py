@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from tubesight.core import Array, Image, Status, Unmeasurable
 from tubesight.vision.edges import left_of
-from tubesight.vision.signal import LINEAR_LIGHT, Signal, planes, sample
+from tubesight.vision.signal import LINEAR_LIGHT, Signal, planes, sample_across
 
 # Where the colours are learned, in widths of the tube: along its first piece, inside and beside it.
 ALONG_WIDTHS, ALONG_COUNT = (0.4, 2.2), 9
@@ -15,9 +17,16 @@ BESIDE_WIDTHS, BESIDE_COUNT = (0.85, 1.9), 4
 # Fewest samples a colour is learned from.
 SAMPLES_MIN = 12
 # Contrast in linear light under which tube and background cannot be told apart above a picture's noise.
-_CONTRAST_MIN = 0.012
+CONTRAST_MIN = 0.012
 # Chromatic share of the contrast above which it is called a difference of colour.
-_COLOUR_SHARE = 0.25
+COLOUR_SHARE = 0.25
+# What is said of a segmenter.
+REASONS = (
+    "background picture: there is one of this camera",
+    "cloth colour: tube and surroundings differ in colour beside the base",
+    "contrast: bright tube on darker surroundings beside the base",
+    "contrast: dark tube on brighter surroundings beside the base",
+)
 # The gain is the median of so many ratios in each direction, of pixels that are neither dark nor saturated.
 GAIN_GRID, GAIN_MIN_COUNT, LIT = 24, 50, (0.02, 0.95)
 
@@ -52,12 +61,12 @@ def signal_of(image: Image, background: Image | None, colours: tuple[Array, Arra
     if not (np.isfinite(tube).all() and np.isfinite(cloth).all()):
         raise Unmeasurable(Status.BASE_HIDDEN, detail="the first piece of the tube is not in the picture")
     if background is not None:
-        if not difference >= _CONTRAST_MIN:
+        if not difference >= CONTRAST_MIN:
             raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="the picture equals its background at the base")
-        return Signal(image, tube, cloth, background, gain, "background picture: there is one of this camera")
-    if max(abs(a - b) for a, b in zip(tube.tolist(), cloth.tolist(), strict=True)) < _CONTRAST_MIN:
+        return Signal(image, tube, cloth, background, gain, REASONS[0])
+    if max(abs(a - b) for a, b in zip(tube.tolist(), cloth.tolist(), strict=True)) < CONTRAST_MIN:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="no contrast at the base")
-    return Signal(image, tube, cloth, None, gain, _reason(tube.tolist(), cloth.tolist()))
+    return Signal(image, tube, cloth, None, gain, REASONS[reason(tube.tolist(), cloth.tolist())])
 
 
 def learn(
@@ -77,13 +86,13 @@ def learn(
     left = left_of(way) * width_px
     inside = line + np.linspace(-INSIDE_WIDTHS, INSIDE_WIDTHS, INSIDE_COUNT)[:, None] * left
     side = np.linspace(*BESIDE_WIDTHS, BESIDE_COUNT)[:, None] * left
-    now = sample(image, inside)
+    now = sample_across(image, inside, way)
     tube = _middle_colour(now)
-    cloth = _middle_colour(sample(image, np.concatenate([line + side, line - side], 1)))
+    cloth = _middle_colour(sample_across(image, np.concatenate([line + side, line - side], 1), way))
     if background is None:
         return tube, cloth, np.ones_like(tube), float("nan")
     gain = _gain(image, planes(background))
-    off = np.abs(now - sample(background, inside) * gain).max(-1)
+    off = np.abs(now - sample_across(planes(background), inside, way) * gain).max(-1)
     off = off[np.isfinite(off)]
     return tube, cloth, gain, float(np.median(off)) if len(off) else float("nan")
 
@@ -94,13 +103,17 @@ def _middle_colour(samples: Array) -> Array:
     return np.median(flat, axis=0) if len(flat) >= SAMPLES_MIN else np.full(samples.shape[-1], np.nan)
 
 
-def _reason(tube: list[float], cloth: list[float]) -> str:
-    one, other = sum(tube) / len(tube), sum(cloth) / len(cloth)
-    chroma = max(abs(a / (one + 1e-3) - b / (other + 1e-3)) for a, b in zip(tube, cloth, strict=True))
-    if len(tube) == 3 and chroma > _COLOUR_SHARE:
-        return "cloth colour: tube and surroundings differ in colour beside the base"
-    side = "bright tube on darker" if one > other else "dark tube on brighter"
-    return f"contrast: {side} surroundings beside the base"
+def reason(tube: Sequence[float] | Array, cloth: Sequence[float] | Array) -> int:
+    """Which of the `REASONS` two colours of one or three numbers give."""
+    one, other, chroma = 0.0, 0.0, 0.0
+    for c in range(len(tube)):
+        one += tube[c] / len(tube)
+        other += cloth[c] / len(tube)
+    for c in range(len(tube)):
+        chroma = max(chroma, abs(tube[c] / (one + 1e-3) - cloth[c] / (other + 1e-3)))
+    if len(tube) == 3 and chroma > COLOUR_SHARE:
+        return 1
+    return 2 if one > other else 3
 
 
 def _gain(image: Image, background: Image) -> Array:

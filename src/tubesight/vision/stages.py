@@ -9,11 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-from tubesight.core import Array, Image
+from tubesight.core import Array, Image, Tube
 from tubesight.core.kernels import COMPILED
 from tubesight.geometry.camera import Camera
 from tubesight.vision import ending, pairs, rays, silhouette, tip, walker
 from tubesight.vision.signal import Signal
+from tubesight.vision.view import View
 
 Pair = tuple[Array, float] | None
 Colours = tuple[Array, Array, Array, float]
@@ -36,6 +37,8 @@ class Stages:
     tube_rays: Callable[
         [Camera, Array, Array, Array, float, float, Array], tuple[Array, Array, Array, Array, Array, Array]
     ]
+    # All of them in one call, where each succeeds at its first attempt; None where there is none.
+    see_from_base: Callable[[str, Image, Image | None, Camera, Tube, Array, Array, float], View | None] | None = None
 
 
 READABLE = Stages(
@@ -72,4 +75,5 @@ def stages() -> Stages:
         compiled.face,
         compiled.tangent_cone,
         compiled.tube_rays,
+        compiled.see_from_base,
     )

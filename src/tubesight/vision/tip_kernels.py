@@ -12,8 +12,9 @@ from tubesight.core.kernels import part, short_part
 from tubesight.vision import edges, tip
 from tubesight.vision.edge_kernels import colour_profiles, measure_edges, window
 from tubesight.vision.ending import FOUND
-from tubesight.vision.kernels import Numbers, Picture, nearest_fall, profile, spacing
-from tubesight.vision.math_kernels import Count, median, solve
+from tubesight.vision.kernels import nearest_fall, spacing
+from tubesight.vision.line_kernels import WORK_ROWS, Numbers, Picture, profile
+from tubesight.vision.math_kernels import Count, length, median, solve
 
 Found = tuple[int, Array, Numbers]
 
@@ -59,17 +60,17 @@ def rough(
     reach, step = tip.SWEEPS[sweep] * radius, spacing(2 * radius)
     low = -reach - tip.SWEEP_IN_PX
     count = int((reach + tip.SWEEP_OUT_PX - low) / step) + 2
-    share, scratch, guess = np.empty(count), np.empty((1, count, 3)), np.empty((len(origin) + every - 1) // every)
-    lines = (2.0, 2 * edges.LINE_PX) if careful else (1.0, 0.0)
+    work, guess = np.empty((WORK_ROWS, count)), np.empty((len(origin) + every - 1) // every)
+    lines = (1.0, 0.0, float(edges.LINES) if careful else 1.0)
     for n in range(len(origin)):
         found[n] = np.nan
         if n % every == 0:
             start, direction = (origin[n, 0], origin[n, 1]), (way[n, 0], way[n, 1])
-            profile(picture, start, direction, 0.0, low, step, lines, share)
-            found[n] = nearest_fall(share, low, step, tip.DROP_MIN, scratch)
+            profile(picture, start, direction, 0.0, low, step, lines, work)
+            found[n] = nearest_fall(work, low, step, tip.DROP_MIN)
             guess[n // every] = found[n]
     if careful:
-        colour, behind = colour_profiles(picture, origin, way, every, low, step, count, edges.LINE_PX)
+        colour, behind = colour_profiles(picture, origin, way, every, low, step, count, edges.LINES)
         position, _, _ = measure_edges(colour, behind, low, step, guess, blur, picture.image.shape[2] < 3)
         for n in range(len(position)):
             found[n * every] = position[n]
@@ -77,12 +78,19 @@ def rough(
 
 @part
 def fine(
-    picture: Picture, origin: Array, way: Array, radius: float, blur: float, apart: float, shift: float, found: Array
+    picture: Picture,
+    origin: Array,
+    way: Array,
+    radius: float,
+    blur: float,
+    averaged: int,
+    shift: float,
+    found: Array,
 ) -> float:
     """Twin of `tip._fine`; writes the edges (N,), all moved by the shift, and returns the doubt."""
     low, count = window(blur, radius)
     rows, step = len(origin), edges.SPACING_PX
-    lines = colour_profiles(picture, origin, way, np.int64(1), low, step, count, apart)
+    lines = colour_profiles(picture, origin, way, np.int64(1), low, step, count, averaged)
     gray = picture.image.shape[2] < 3
     position, _, doubt = measure_edges(lines[0], lines[1], low, step, np.zeros(rows), blur, gray)
     for n in range(rows):
@@ -123,7 +131,7 @@ def circle(points: Array, count: Count, keep: Mask) -> tuple[float, float, float
         cx, cy = right[0, 0], right[1, 0]
         radius = np.sqrt(max(right[2, 0] + cx * cx + cy * cy, 0.0))
         for n in range(count):
-            off[n] = abs(np.hypot(points[n, 0] - mx - cx, points[n, 1] - my - cy) - radius)
+            off[n] = abs(length(points[n, 0] - mx - cx, points[n, 1] - my - cy) - radius)
             values[n] = off[n]
         limit = min(max(tip.OFF_SIGMAS * median(values, count), tip.OFF_PX), tip.OFF_PX + tip.OFF_CIRCLE * radius)
         for n in range(count):
@@ -150,7 +158,7 @@ def ball(
         if first:
             rough(picture, origin, way, tip.ROUGH_EVERY, expected, sweep, blur, careful, position)
         else:
-            doubt = fine(picture, origin, way, radius, blur, edges.LINE_PX, blur * blur / (2 * radius), position)
+            doubt = fine(picture, origin, way, radius, blur, edges.LINES, blur * blur / (2 * radius), position)
         found = np.int64(0)
         for n in range(count):
             if np.isfinite(position[n]):
@@ -167,7 +175,7 @@ def ball(
                 used += 1
         if not abs(size / expected - 1) < (2 * tip.RADIUS_OFF if sweep == 0 else tip.RADIUS_OFF):
             return failed(tip.RADIUS, size)
-        moved = np.hypot(x - cx, y - cy) + abs(size - radius)
+        moved = length(x - cx, y - cy) + abs(size - radius)
         cx, cy, radius = x, y, expected if first and sweep + 1 < len(tip.SWEEPS) else size
         if not first and moved < tip.MOVED_PX:
             break
@@ -177,7 +185,7 @@ def ball(
         return failed(tip.NOT_ROUND, np.nan)
     total = 0.0
     for n in range(used):
-        off = np.hypot(points[n, 0] - cx, points[n, 1] - cy) - radius
+        off = length(points[n, 0] - cx, points[n, 1] - cy) - radius
         total += off * off
     return FOUND, points[:used], (cx, cy, radius, np.sqrt(total / used), doubt, used / count)
 
@@ -195,7 +203,7 @@ def round_end(picture: Picture, centre: Numbers, heading: Numbers, radius: float
         if sweep < len(tip.SWEEPS):
             rough(picture, origin, way, 1, radius, sweep, blur, False, off)
         else:
-            doubt = fine(picture, origin, way, radius, blur, edges.LINE_PX, blur * blur / (2 * radius), off)
+            doubt = fine(picture, origin, way, radius, blur, edges.LINES, blur * blur / (2 * radius), off)
         across, square, used = 0.0, 0.0, 0
         for n in range(count):
             if abs(off[n]) < limit and abs(off[count - 1 - n]) < limit:
@@ -281,7 +289,7 @@ def face(picture: Picture, end: Numbers, heading: Numbers, width: float, blur: f
         for n in range(count):
             expected[n] = along_face(d[n], model)
             start[n, 0], start[n, 1] = origin[n, 0] + way[n, 0] * expected[n], origin[n, 1] + way[n, 1] * expected[n]
-        doubt = fine(picture, start, way, width / 2, blur, 0.0, 0.0, place)
+        doubt = fine(picture, start, way, width / 2, blur, 1, 0.0, place)
         for n in range(count):
             place[n] += expected[n]
         model, used = fit_face(d, place, keep)

@@ -2,12 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from tubesight.core import Array, Mask, readonly
+
+T = TypeVar("T")
+
+
+def _of_own(cls: type[T], values: tuple[Any, ...]) -> T:
+    """Fill the slots of a frozen class; arrays become read-only."""
+    made = object.__new__(cls)
+    for name, value in zip(cls.__slots__, values, strict=True):  # type: ignore[attr-defined]
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
+        object.__setattr__(made, name, value)
+    return made
+
+
+def gap_notes(gaps: Iterable[float]) -> tuple[str, ...]:
+    """Cautions about the gaps that were bridged (widths)."""
+    return tuple(f"bridged a gap of {gap:.1f} widths" for gap in gaps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,6 +52,11 @@ class TipView:
     contour_px: Array
     rms_px: float
     doubt_px: float
+
+    @classmethod
+    def of_own(cls, *values: Any) -> TipView:
+        """Make one of arrays that nobody else holds and whose shapes are right: they are not copied."""
+        return _of_own(cls, values)
 
     def __post_init__(self) -> None:
         for name, shape in (("axis", (3,)), ("px", (2,)), ("contour_px", (None, 2))):
@@ -84,6 +107,11 @@ class View:
     blur_px: float
     segmenter: str
     notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of_own(cls, *values: Any) -> View:
+        """Make one of arrays that nobody else holds and whose shapes are right: they are not copied."""
+        return _of_own(cls, values)
 
     def __post_init__(self) -> None:
         n = len(self.edges_px)
