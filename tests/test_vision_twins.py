@@ -17,7 +17,7 @@ from tubesight.geometry.camera import Camera
 from tubesight.vision import falls, line_kernels, math_kernels, pairs
 from tubesight.vision.ending import BORDER, FOUND
 from tubesight.vision.see import Start, see
-from tubesight.vision.signal import Signal, planes, sample_across
+from tubesight.vision.signal import Signal, planes, sample
 from tubesight.vision.stages import READABLE, Stages, stages
 from vision_scenes import Picture, drawn_tube
 
@@ -154,25 +154,26 @@ def test_places_that_are_none_find_nothing(place: np.ndarray) -> None:
 
 @numba.njit(error_model="numpy")
 def _sample_line(  # type: ignore[no-untyped-def]
-    image, origin, way, bend, low, step, lines, at, out, row
+    image, origin, way, bend, low, step, apart, at, out, row
 ) -> None:
     """Enter the compiled sampler from Python."""
-    line_kernels.sample_line(image, origin, way, bend, low, step, lines, at, out, row)
+    line_kernels.sample_line(image, origin, way, bend, low, step, apart, at, out, row)
 
 
-@pytest.mark.parametrize("lines", [1, 2, 3])
+@pytest.mark.parametrize("apart", [0.0, 0.75])
 @pytest.mark.parametrize("name", ["tube", "gray", "yuyv", "one pixel", "one row", "nothing"])
-def test_lines_are_sampled_as_points_are_and_never_outside(name: str, lines: int) -> None:
+def test_lines_are_sampled_as_points_are_and_never_outside(name: str, apart: float) -> None:
     picture = planes(PICTURES[name])
     rng = np.random.default_rng(0)
     height, width, channels = picture.shape
     for angle in [*np.radians([0, 45, 90, 180, 225, 270]), *rng.uniform(-np.pi, np.pi, 20)]:
         origin = rng.uniform(-2, 2, 2) + rng.uniform(0, 1, 2) * [width, height]
         way = np.array([np.cos(angle), np.sin(angle)])
-        low, step, out = -30.0, rng.uniform(0.4, 1.2), np.zeros((9, 60))
+        low, step, out = -30.0, rng.uniform(0.4, 1.2), np.zeros((10, 60))
         points = origin + (low + step * np.arange(60.0))[:, None] * way
-        wanted = sample_across(picture, points, way, lines)
-        arguments = (tuple(origin), tuple(way), 0.0, low, step, lines, out, out, 3)
+        aside = apart * np.array([-way[1], way[0]])
+        wanted = (sample(picture, points + aside) + sample(picture, points - aside)) / 2
+        arguments = (tuple(origin), tuple(way), 0.0, low, step, apart, out, out, 3)
         _sample_line(picture, *arguments)
         np.testing.assert_allclose(out[3 : 3 + channels].T, wanted, rtol=0, atol=TOLERANCE)
 

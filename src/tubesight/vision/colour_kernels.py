@@ -38,7 +38,7 @@ def first_piece(image: Image, start: Numbers, way: Numbers, width: float, offset
     low, high = silhouette.ALONG_WIDTHS
     step = (high - low) * width / (silhouette.ALONG_COUNT - 1)
     origin = start[0] + offset * way[1], start[1] - offset * way[0]
-    sample_line(image, origin, way, 0.0, low * width, step, 1, np.empty_like(out), out, 0)
+    sample_line(image, origin, way, 0.0, low * width, step, 0.0, np.empty((4, out.shape[1])), out, 0)
 
 
 @part

@@ -37,20 +37,23 @@ def window(blur: float, depth: float) -> tuple[float, int]:
 
 @part
 def colour_profiles(
-    picture: Picture, origin: Array, way: Array, every: Count, low: float, step: float, count: int, lines: int
+    picture: Picture, origin: Array, way: Array, every: Count, low: float, step: float, count: int, apart: float
 ) -> tuple[Array, Array]:
-    """Twin of `edges.colour_profiles` on every so many-th line: colours (3 N, L) of the picture and the empty scene."""
+    """Twin of `edges.colour_profiles` on every so many-th line: colours (3 N, L) of the picture and the empty scene.
+
+    The samples are the mean of two lines at a distance to both sides, or of one (0).
+    """
     image, scene, colours = picture
     rows = (len(origin) + every - 1) // every
     with_scene = scene.shape[0] > 0
     colour, behind = np.empty((3 * rows, count)), np.empty((3 * rows if with_scene else 0, count))
-    at = np.empty((3, count))
+    at = np.empty((4, count))
     for n in range(rows):
         m = n * every
         start, direction = (origin[m, 0], origin[m, 1]), (way[m, 0], way[m, 1])
-        sample_line(image, start, direction, 0.0, low, step, lines, at, colour, 3 * n)
+        sample_line(image, start, direction, 0.0, low, step, apart, at, colour, 3 * n)
         if with_scene:
-            sample_line(scene, start, direction, 0.0, low, step, lines, at, behind, 3 * n)
+            sample_line(scene, start, direction, 0.0, low, step, apart, at, behind, 3 * n)
             for c in range(3):
                 for k in range(count):
                     behind[3 * n + c, k] *= colours[6 + c]

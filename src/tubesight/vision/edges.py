@@ -11,8 +11,9 @@ from tubesight.vision.signal import Signal
 
 # Spacing of samples along a line: at one pixel an edge of a sharp picture shifts by 0.05 px with their phase.
 SPACING_PX = 0.75
-# Parallel lines averaged into one: those of the rows (or columns) of pixels to both sides.
-LINES = 2
+# Parallel lines averaged into one, this far to both sides along the contour: nearer samples share their pixels.
+LINE_PX = 0.75
+LINES_PX = (-LINE_PX, LINE_PX)
 # Plateaus of the half level lie this far inside and outside of the edge of a sharp picture (limb shading makes the
 # inside rise within pixels, gamma and sharpening disturb the outside), and clear of the edge itself where it is
 # blurred: an edge of a sharp picture has a sigma of 0.7 to 1 px.
@@ -104,13 +105,17 @@ def wide_window() -> Array:
     return np.asarray(-reach + SPACING_PX * np.arange(int(2 * reach / SPACING_PX) + 2.0))
 
 
-def _points(origin_px: Array, direction: Array, along: Array) -> Array:
-    """Points (N, L, 2) along lines."""
-    return np.asarray(origin_px[:, None, :] + along[:, None] * direction[:, None, :])
+def _points(origin_px: Array, direction: Array, along: Array, lines_px: tuple[float, ...]) -> list[Array]:
+    """Points (N, L, 2) along lines, once for each parallel one."""
+    side = left_of(direction)
+    points = origin_px[:, None, :] + along[:, None] * direction[:, None, :]
+    return [points + offset * side[:, None, :] for offset in lines_px]
 
 
-def profiles(signal: Signal, origin_px: Array, direction: Array, along: Array, lines: int = LINES) -> Array:
-    """Likeness to tube (N, L) along lines across a contour; NaN outside the picture.
+def profiles(
+    signal: Signal, origin_px: Array, direction: Array, along: Array, lines_px: tuple[float, ...] = LINES_PX
+) -> Array:
+    """Likeness to tube (N, L) along lines, each the mean of a few parallel ones; NaN outside the picture.
 
     Parameters
     ----------
@@ -118,16 +123,21 @@ def profiles(signal: Signal, origin_px: Array, direction: Array, along: Array, l
         (N, 2) each; unit directions of the lines.
     along
         (L,) distances from the origin, pixels.
-    lines
-        How many neighbouring lines are averaged (`signal.sample_across`).
+    lines_px
+        Offsets of the parallel lines that are averaged.
     """
-    return signal(_points(origin_px, direction, along), direction[:, None, :], lines)
+    return np.asarray(np.mean([signal(p) for p in _points(origin_px, direction, along, lines_px)], axis=0))
 
 
 def colour_profiles(
-    signal: Signal, origin_px: Array, direction: Array, along: Array, depth_px: float, lines: int = LINES
+    signal: Signal,
+    origin_px: Array,
+    direction: Array,
+    along: Array,
+    depth_px: float,
+    lines_px: tuple[float, ...] = LINES_PX,
 ) -> Profiles:
-    """Sample colours along lines across a contour.
+    """Sample colours along lines, each the mean of a few parallel ones.
 
     Parameters
     ----------
@@ -135,11 +145,13 @@ def colour_profiles(
         (N, 2) each, in order along the contour.
     along
         (L,) distances from the origin.
-    lines
-        How many neighbouring lines are averaged (`signal.sample_across`).
+    lines_px
+        Offsets of the parallel lines that are averaged.
     """
-    colour, behind = signal.colours(_points(origin_px, direction, along), direction[:, None, :], lines)
-    return Profiles(colour, behind, along, depth_px)
+    samples = [signal.colours(p) for p in _points(origin_px, direction, along, lines_px)]
+    colour = np.mean([c for c, _ in samples], axis=0)
+    empty = [b for _, b in samples if b is not None]
+    return Profiles(colour, np.mean(empty, axis=0) if empty else None, along, depth_px)
 
 
 def measure_edges(lines: Profiles, guess_px: Array, blur_px: float) -> Edges:

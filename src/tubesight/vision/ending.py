@@ -90,7 +90,7 @@ def end_of_tube(
     left = left_of(way)
     path = start_px + along[:, None] * way + (bend * along**2 / 2)[:, None] * left
     sideways = SPREAD * width_px * (np.arange(LINES) - (LINES - 1) / 2)
-    share = np.mean([signal(path + offset * left, way) for offset in sideways], axis=0)
+    share = np.mean([signal(path + offset * left) for offset in sideways], axis=0)
     before = share[(along <= 0) & np.isfinite(share)]
     if not len(before):
         return BORDER, float("nan")

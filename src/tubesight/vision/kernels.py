@@ -76,7 +76,7 @@ def best_pair(
     peaks, other_peaks, seen = 0, 0, False
     for side in range(2):
         sign = 1.0 - 2 * side
-        profile(picture, middle, (sign * way[1], -sign * way[0]), 0.0, low, step, (1.0, 0.0, 1.0), work)
+        profile(picture, middle, (sign * way[1], -sign * way[0]), 0.0, low, step, (1.0, 0.0), work)
         for k in range(work.shape[1]):
             seen |= work[SHARE, k] > pairs.SHARE_SEEN
         peaks, other_peaks = other_peaks, find_falls(work, low, step, reach_of(width), side)
@@ -238,7 +238,7 @@ def end_of_tube(
     for k in range(count):
         a = -width + step * k
         if k % ending.CHUNK == 0:
-            profile(picture, start, way, bend, a, step, (float(ending.LINES), ending.SPREAD * width, 1.0), some)
+            profile(picture, start, way, bend, a, step, (float(ending.LINES), ending.SPREAD * width), some)
         share = some[SHARE, k % ending.CHUNK]
         if a <= 0:
             if not np.isnan(share):

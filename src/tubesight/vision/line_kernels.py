@@ -19,7 +19,7 @@ Numbers = tuple[float, ...]
 
 # Rows of the scratch of one scan: six of samples (colours of the picture and of the empty scene), their likeness to
 # tube, the same smoothed, and places, drops and slopes of its falls, for both sides of a tube.
-SHARE, SMOOTH, FALLS, WORK_ROWS = 6, 7, 8, 14
+SHARE, SMOOTH, FALLS, WORK_ROWS = 6, 7, 8, 15
 
 
 class Picture(NamedTuple):
@@ -32,31 +32,25 @@ class Picture(NamedTuple):
 
 @part
 def find_pixels(
-    last: Numbers, origin: Numbers, way: Numbers, bend: float, low: float, step: float, shift: float, at: Array
+    last: Numbers, origin: Numbers, way: Numbers, bend: float, low: float, step: float, at: Array
 ) -> None:
     """Pixels before the samples of a line: columns, rows and weights of the next ones, in the last rows of `at`.
 
-    Each sample is first moved across the way to a row or column of pixels (`signal.sample_across`). The line bends to
-    the left by so much per pixel; `last` are the last places in the picture. Outside the weight is NaN.
+    The line bends to the left by so much per pixel; `last` are the last places in the picture. Outside the weights are
+    NaN.
     """
     (x0, y0), (dx, dy), (right, bottom) = origin, way, last
-    column, row, weight = len(at) - 3, len(at) - 2, len(at) - 1
-    on_rows = abs(dx) >= abs(dy)
-    lean = dy / dx if on_rows else dx / dy
+    column, row, u, v = len(at) - 4, len(at) - 3, len(at) - 2, len(at) - 1
     # The last pixel has no next one.
-    last_column, last_row = (max(right - 1, 0.0), bottom) if on_rows else (right, max(bottom - 1, 0.0))
+    last_column, last_row = max(right - 1, 0.0), max(bottom - 1, 0.0)
     for k in range(at.shape[1]):
         a = low + step * k
         off = bend * a * a / 2
         x, y = x0 + a * dx + off * dy, y0 + a * dy - off * dx
-        across = y if on_rows else x
-        line = np.floor(across + shift)
-        moved = (line - across) * lean
-        x, y = (x - moved, line) if on_rows else (line, y - moved)
         inside = (x >= 0.0) & (y >= 0.0) & (x <= right) & (y <= bottom)
         left, top = min(np.floor(x), last_column), min(np.floor(y), last_row)
         at[column, k], at[row, k] = (left, top) if inside else (0.0, 0.0)
-        at[weight, k] = (x - left) + (y - top) if inside else np.nan
+        at[u, k], at[v, k] = (x - left, y - top) if inside else (np.nan, np.nan)
 
 
 @part
@@ -67,38 +61,43 @@ def sample_line(
     bend: float,
     low: float,
     step: float,
-    lines: int,
+    apart: float,
     at: Array,
     out: Array,
     row: int,
 ) -> None:
-    """Twin of `signal.sample_across` along a line, into three rows of `out` (.., L) from `row` on; `at` is scratch.
+    """Twin of `signal.sample` along a line, into three rows of `out` (.., L) from `row` on; `at` is scratch.
 
-    NaN outside the picture, and never a look outside of it.
+    The samples are the mean of two lines at a distance to both sides, or of one (0). NaN outside the picture, and never
+    a look outside of it.
     """
     height, width, channels = image.shape
-    count, scratch = out.shape[1], len(at) - 3
-    on_rows = abs(way[0]) >= abs(way[1])
-    # Unsigned: an index that may be negative costs a comparison each time.
-    next_column, next_row = np.uint64(on_rows and width > 1), np.uint64(not on_rows and height > 1)
+    count, scratch = out.shape[1], len(at) - 4
     for c in range(3):
         for k in range(count):
             out[row + c, k] = 0.0 if image.size > 0 else np.nan
-    for line in range(lines if image.size > 0 else 0):
-        shift = line + (1 - lines / 2)
-        find_pixels((width - 1.0, height - 1.0), origin, way, bend, low, step, shift, at)
+    if image.size == 0:
+        return
+    # Unsigned: an index that may be negative costs a comparison each time.
+    next_column, next_row = np.uint64(width > 1), np.uint64(height > 1)
+    lines = 2 if apart > 0 else 1
+    for line in range(lines):
+        aside = apart * (1 - 2 * line)
+        start = origin[0] - aside * way[1], origin[1] + aside * way[0]
+        find_pixels((width - 1.0, height - 1.0), start, way, bend, low, step, at)
         for k in range(count):
             left, top = np.uint64(np.int64(at[scratch, k])), np.uint64(np.int64(at[scratch + 1, k]))
-            right, below, v = left + next_column, top + next_row, at[scratch + 2, k]
-            u = 1 - v
-            out[row, k] += LINEAR_LIGHT[image[top, left, 0]] * u + LINEAR_LIGHT[image[below, right, 0]] * v
+            right, below, u, v = left + next_column, top + next_row, at[scratch + 2, k], at[scratch + 3, k]
+            a = LINEAR_LIGHT[image[top, left, 0]] * (1 - u) + LINEAR_LIGHT[image[top, right, 0]] * u
+            b = LINEAR_LIGHT[image[below, left, 0]] * (1 - u) + LINEAR_LIGHT[image[below, right, 0]] * u
+            out[row, k] += (a * (1 - v) + b * v) / lines
             if channels >= 3:
-                out[row + 1, k] += LINEAR_LIGHT[image[top, left, 1]] * u + LINEAR_LIGHT[image[below, right, 1]] * v
-                out[row + 2, k] += LINEAR_LIGHT[image[top, left, 2]] * u + LINEAR_LIGHT[image[below, right, 2]] * v
-    if lines > 1:
-        for c in range(3):
-            for k in range(count):
-                out[row + c, k] /= lines
+                a = LINEAR_LIGHT[image[top, left, 1]] * (1 - u) + LINEAR_LIGHT[image[top, right, 1]] * u
+                b = LINEAR_LIGHT[image[below, left, 1]] * (1 - u) + LINEAR_LIGHT[image[below, right, 1]] * u
+                out[row + 1, k] += (a * (1 - v) + b * v) / lines
+                a = LINEAR_LIGHT[image[top, left, 2]] * (1 - u) + LINEAR_LIGHT[image[top, right, 2]] * u
+                b = LINEAR_LIGHT[image[below, left, 2]] * (1 - u) + LINEAR_LIGHT[image[below, right, 2]] * u
+                out[row + 2, k] += (a * (1 - v) + b * v) / lines
 
 
 @part
@@ -134,8 +133,8 @@ def profile(
 ) -> None:
     """Likeness (L,) along a line, as `edges.profiles` gives it, in the row `SHARE` of `work`.
 
-    The line bends to the left by so much per pixel; `lines` are the number of parallel lines, their distance from
-    each other, and the number of neighbouring pixels that are averaged.
+    The line bends to the left by so much per pixel; `lines` are the number of parallel lines and their distance from each
+    other.
     """
     image, behind, colours = picture
     with_scene, count = behind.shape[0] > 0, work.shape[1]
@@ -144,9 +143,9 @@ def profile(
     for line in range(int(lines[0])):
         off = (line - (lines[0] - 1) / 2) * lines[1]
         start = origin[0] + off * way[1], origin[1] - off * way[0]
-        sample_line(image, start, way, bend, low, step, int(lines[2]), work, work, 0)
+        sample_line(image, start, way, bend, low, step, 0.0, work, work, 0)
         if with_scene:
-            sample_line(behind, start, way, bend, low, step, int(lines[2]), work, work, 3)
+            sample_line(behind, start, way, bend, low, step, 0.0, work, work, 3)
         likeness(colours, work, count, with_scene)
     if lines[0] > 1:
         for k in range(count):

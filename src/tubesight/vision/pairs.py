@@ -92,7 +92,7 @@ def _best_pair(
     """
     along = grid(low, high, spacing(width))
     left = left_of(way)
-    share = profiles(signal, np.stack([middle, middle]), np.stack([left, -left]), along, 1)
+    share = profiles(signal, np.stack([middle, middle]), np.stack([left, -left]), along, (0.0,))
     seen = bool((share > SHARE_SEEN).any())
     place, drop, _, peak = falls(share, along, reach_of(width))
     good = peak & (drop > DROP_MIN)

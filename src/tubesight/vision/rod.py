@@ -185,7 +185,7 @@ def end_contour(view: RodView) -> Array:
     origins = end + offsets[:, None] * left
     along = np.arange(-(_BEFORE_WIDTHS + 1.0) * width - 6.0, (_BEHIND_WIDTHS + 1.0) * width + 6.0, SPACING_PX)
     directions = np.broadcast_to(heading, origins.shape)
-    lines = colour_profiles(view.signal, origins, directions, along, width, 1)
+    lines = colour_profiles(view.signal, origins, directions, along, width, (0.0,))
     guess = _strongest_step(lines.colour, along, width)
     edges = measure_edges(lines, np.full(len(offsets), guess), view.blur_px)
     good = np.isfinite(edges.position_px)

@@ -91,12 +91,12 @@ def measure(picture: Picture, middles: Array, widths: Array) -> tuple[Array, flo
     reach, blur = edges.FAR_PX + 1.0, np.inf
     for side in range(2):
         count = int(2 * reach / step) + 2
-        lines = colour_profiles(picture, origin[side], ways[side], every, -reach, step, count, edges.LINES)
+        lines = colour_profiles(picture, origin[side], ways[side], every, -reach, step, count, edges.LINE_PX)
         blur = min(blur, blur_of(lines[0], lines[1], -reach, step, depth, gray))
     low, count = window(blur, depth)
     offset, doubt, good = np.empty((2, rows)), np.empty(2), np.ones(rows, dtype=np.bool_)
     for side in range(2):
-        lines = colour_profiles(picture, origin[side], ways[side], np.int64(1), low, step, count, edges.LINES)
+        lines = colour_profiles(picture, origin[side], ways[side], np.int64(1), low, step, count, edges.LINE_PX)
         position, drop, doubt[side] = measure_edges(lines[0], lines[1], low, step, np.zeros(rows), blur, gray)
         for n in range(rows):
             offset[side, n] = position[n] + half[n]

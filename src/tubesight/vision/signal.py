@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from tubesight.core import Array, Image, Mask, readonly
+from tubesight.core import Array, Image, readonly
 
 # sRGB to linear light (IEC 61966-2-1) for the 256 levels of a picture.
 _LEVELS = np.arange(256) / 255.0
@@ -63,58 +63,6 @@ def sample(image: Image, points_px: Array) -> Array:
     return np.where(inside[..., None], top * (1 - v) + bottom * v, np.nan)
 
 
-def sample_across(image: Image, points_px: Array, way: Array, lines: int = 1) -> Array:
-    """Sample in linear light on lines across a contour.
-
-    What lies across a contour does not change along it, so each sample is moved along the contour to the nearest row
-    (or column, for lines steeper than 45 degrees) of pixels and lies between two of them: half the pixels of a
-    bilinear sample. Several lines are those of neighbouring rows; their mean is returned.
-
-    Parameters
-    ----------
-    image
-        (H, W) or (H, W, C), 8 bit, any strides.
-    points_px, way
-        (..., 2) and the direction of the lines there, to which both broadcast.
-    lines
-        How many neighbouring rows or columns are averaged.
-
-    Returns
-    -------
-    Array
-        (..., C) with C = 1 for gray; NaN where one of the lines is outside of the picture.
-    """
-    image = planes(image)
-    channels = image.shape[2]
-    x, y = points_px[..., 0], points_px[..., 1]
-    if not image.size:
-        return np.full((*x.shape, channels), np.nan)
-    dx, dy = (np.broadcast_to(way[..., i], x.shape) for i in range(2))
-    on_rows = np.abs(dx) >= np.abs(dy)
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        lean = np.where(on_rows, dy / dx, dx / dy)
-    across = np.where(on_rows, y, x)
-    total = np.zeros((*x.shape, channels))
-    for line in range(lines):
-        with np.errstate(invalid="ignore"):
-            nearest = np.floor(across + (line + (1 - lines / 2)))
-            moved = (nearest - across) * lean
-        total += _between(image, np.where(on_rows, x - moved, nearest), np.where(on_rows, nearest, y - moved), on_rows)
-    return total / lines
-
-
-def _between(image: Image, x: Array, y: Array, on_rows: Mask) -> Array:
-    """Linear samples (..., C) in linear light at whole rows or columns; NaN outside the picture."""
-    height, width, _ = image.shape
-    inside = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
-    x, y = np.where(inside, x, 0.0), np.where(inside, y, 0.0)
-    column, row = x.astype(np.intp), y.astype(np.intp)
-    right, below = np.minimum(column + on_rows, width - 1), np.minimum(row + ~on_rows, height - 1)
-    v = ((x - column) + (y - row))[..., None]
-    value = LINEAR_LIGHT[image[row, column]] * (1 - v) + LINEAR_LIGHT[image[below, right]] * v
-    return np.where(inside[..., None], value, np.nan)
-
-
 F = TypeVar("F", float, Array)
 
 
@@ -157,20 +105,15 @@ class Signal:
         forgiven = [_forgiven(square, s) for square, s in zip(squares, (SHADING_TUBE, SHADING_CLOTH), strict=True)]
         object.__setattr__(self, "numbers", (*triples[0], *triples[1], *triples[2], *forgiven))
 
-    def colours(self, points_px: Array, way: Array | None = None, lines: int = 1) -> tuple[Array, Array | None]:
-        """Colours (..., C) at points (..., 2) and, where there is a picture of it, of the background behind them.
+    def colours(self, points_px: Array) -> tuple[Array, Array | None]:
+        """Colours (..., C) at points (..., 2) and, where there is a picture of it, of the background behind them."""
+        return sample(self.image, points_px), None if self.background is None else sample(
+            self.background, points_px
+        ) * self.gain
 
-        With a way they are samples across a contour (`sample_across`), else bilinear ones.
-        """
-
-        def of(image: Image) -> Array:
-            return sample(image, points_px) if way is None else sample_across(image, points_px, way, lines)
-
-        return of(self.image), None if self.background is None else of(self.background) * self.gain
-
-    def __call__(self, points_px: Array, way: Array | None = None, lines: int = 1) -> Array:
-        """Likeness to tube (...) at points (..., 2), sampled as `colours` are; NaN outside the picture."""
-        colour, behind = self.colours(points_px, way, lines)
+    def __call__(self, points_px: Array) -> Array:
+        """Likeness to tube (...) at points (..., 2); NaN outside the picture."""
+        colour, behind = self.colours(points_px)
         behind = self.cloth if behind is None else behind
         from_tube = _distance(colour - self.tube, self.tube, SHADING_TUBE)
         from_cloth = _distance(colour - behind, behind, SHADING_CLOTH)

@@ -8,7 +8,7 @@ import numpy as np
 
 from tubesight.core import Array, Image, Status, Unmeasurable
 from tubesight.vision.edges import left_of
-from tubesight.vision.signal import LINEAR_LIGHT, Signal, planes, sample_across
+from tubesight.vision.signal import LINEAR_LIGHT, Signal, planes, sample
 
 # Where the colours are learned, in widths of the tube: along its first piece, inside and beside it.
 ALONG_WIDTHS, ALONG_COUNT = (0.4, 2.2), 9
@@ -86,13 +86,13 @@ def learn(
     left = left_of(way) * width_px
     inside = line + np.linspace(-INSIDE_WIDTHS, INSIDE_WIDTHS, INSIDE_COUNT)[:, None] * left
     side = np.linspace(*BESIDE_WIDTHS, BESIDE_COUNT)[:, None] * left
-    now = sample_across(image, inside, way)
+    now = sample(image, inside)
     tube = _middle_colour(now)
-    cloth = _middle_colour(sample_across(image, np.concatenate([line + side, line - side], 1), way))
+    cloth = _middle_colour(sample(image, np.concatenate([line + side, line - side], 1)))
     if background is None:
         return tube, cloth, np.ones_like(tube), float("nan")
     gain = _gain(image, planes(background))
-    off = np.abs(now - sample_across(planes(background), inside, way) * gain).max(-1)
+    off = np.abs(now - sample(background, inside) * gain).max(-1)
     off = off[np.isfinite(off)]
     return tube, cloth, gain, float(np.median(off)) if len(off) else float("nan")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tubesight.core import Array, Mask
-from tubesight.vision.edges import LINES, colour_profiles, left_of, measure_edges, profiles, window
+from tubesight.vision.edges import LINES_PX, colour_profiles, left_of, measure_edges, profiles, window
 from tubesight.vision.ending import FOUND
 from tubesight.vision.falls import grid, nearest_fall, spacing
 from tubesight.vision.fitting import solve
@@ -105,7 +105,7 @@ def _rough(
     reach = SWEEPS[sweep] * radius
     along = grid(-reach - SWEEP_IN_PX, reach + SWEEP_OUT_PX, spacing(2 * radius))
     if not careful:
-        return nearest_fall(profiles(signal, origins, directions, along, 1), along, DROP_MIN)
+        return nearest_fall(profiles(signal, origins, directions, along, (0.0,)), along, DROP_MIN)
     guess = nearest_fall(profiles(signal, origins, directions, along), along, DROP_MIN)
     return measure_edges(colour_profiles(signal, origins, directions, along, radius), guess, blur_px).position_px
 
@@ -116,11 +116,11 @@ def _fine(
     directions: Array,
     radius: float,
     blur_px: float,
-    lines: int = LINES,
+    lines_px: tuple[float, ...] = LINES_PX,
 ) -> tuple[Array, float]:
     """Edges (N,) measured on lines that start on the model, and how far they all may be off."""
-    colours = colour_profiles(signal, origins, directions, window(blur_px, radius), radius, lines)
-    edges = measure_edges(colours, np.zeros(len(origins)), blur_px)
+    lines = colour_profiles(signal, origins, directions, window(blur_px, radius), radius, lines_px)
+    edges = measure_edges(lines, np.zeros(len(origins)), blur_px)
     return edges.position_px, edges.doubt_px
 
 
@@ -259,7 +259,7 @@ def face(signal: Signal, end_px: Array, heading: Array, width_px: float, blur_px
         if keep.sum() < FACE_MIN:
             return failed(FAINT)
         start = design @ model
-        off, doubt = _fine(signal, origins + directions * start[:, None], directions, width_px / 2, blur_px, 1)
+        off, doubt = _fine(signal, origins + directions * start[:, None], directions, width_px / 2, blur_px, (0.0,))
         place = start + off
         moved, keep = _fit_face(design, place)
         step = float(np.abs(design @ (moved - model)).max())

@@ -61,7 +61,7 @@ def rough(
     low = -reach - tip.SWEEP_IN_PX
     count = int((reach + tip.SWEEP_OUT_PX - low) / step) + 2
     work, guess = np.empty((WORK_ROWS, count)), np.empty((len(origin) + every - 1) // every)
-    lines = (1.0, 0.0, float(edges.LINES) if careful else 1.0)
+    lines = (2.0, 2 * edges.LINE_PX) if careful else (1.0, 0.0)
     for n in range(len(origin)):
         found[n] = np.nan
         if n % every == 0:
@@ -70,7 +70,7 @@ def rough(
             found[n] = nearest_fall(work, low, step, tip.DROP_MIN)
             guess[n // every] = found[n]
     if careful:
-        colour, behind = colour_profiles(picture, origin, way, every, low, step, count, edges.LINES)
+        colour, behind = colour_profiles(picture, origin, way, every, low, step, count, edges.LINE_PX)
         position, _, _ = measure_edges(colour, behind, low, step, guess, blur, picture.image.shape[2] < 3)
         for n in range(len(position)):
             found[n * every] = position[n]
@@ -83,14 +83,14 @@ def fine(
     way: Array,
     radius: float,
     blur: float,
-    averaged: int,
+    apart: float,
     shift: float,
     found: Array,
 ) -> float:
     """Twin of `tip._fine`; writes the edges (N,), all moved by the shift, and returns the doubt."""
     low, count = window(blur, radius)
     rows, step = len(origin), edges.SPACING_PX
-    lines = colour_profiles(picture, origin, way, np.int64(1), low, step, count, averaged)
+    lines = colour_profiles(picture, origin, way, np.int64(1), low, step, count, apart)
     gray = picture.image.shape[2] < 3
     position, _, doubt = measure_edges(lines[0], lines[1], low, step, np.zeros(rows), blur, gray)
     for n in range(rows):
@@ -158,7 +158,7 @@ def ball(
         if first:
             rough(picture, origin, way, tip.ROUGH_EVERY, expected, sweep, blur, careful, position)
         else:
-            doubt = fine(picture, origin, way, radius, blur, edges.LINES, blur * blur / (2 * radius), position)
+            doubt = fine(picture, origin, way, radius, blur, edges.LINE_PX, blur * blur / (2 * radius), position)
         found = np.int64(0)
         for n in range(count):
             if np.isfinite(position[n]):
@@ -203,7 +203,7 @@ def round_end(picture: Picture, centre: Numbers, heading: Numbers, radius: float
         if sweep < len(tip.SWEEPS):
             rough(picture, origin, way, 1, radius, sweep, blur, False, off)
         else:
-            doubt = fine(picture, origin, way, radius, blur, edges.LINES, blur * blur / (2 * radius), off)
+            doubt = fine(picture, origin, way, radius, blur, edges.LINE_PX, blur * blur / (2 * radius), off)
         across, square, used = 0.0, 0.0, 0
         for n in range(count):
             if abs(off[n]) < limit and abs(off[count - 1 - n]) < limit:
@@ -289,7 +289,7 @@ def face(picture: Picture, end: Numbers, heading: Numbers, width: float, blur: f
         for n in range(count):
             expected[n] = along_face(d[n], model)
             start[n, 0], start[n, 1] = origin[n, 0] + way[n, 0] * expected[n], origin[n, 1] + way[n, 1] * expected[n]
-        doubt = fine(picture, start, way, width / 2, blur, 1, 0.0, place)
+        doubt = fine(picture, start, way, width / 2, blur, 0.0, 0.0, place)
         for n in range(count):
             place[n] += expected[n]
         model, used = fit_face(d, place, keep)
