@@ -164,7 +164,7 @@ class ShapeSensor:
         return None, base_px
 
     def _tip_sd_mm(self, curve: Curve3D) -> float:
-        tip = curve.at(np.array([curve.length_mm]))[0]
+        tip = curve.points_mm[-1] if isinstance(curve, NodeCurve) else curve.at(np.array([curve.length_mm]))[0]
         sight = optics(self.rig, tuple(self.rig.camera_from_base))
         depth = sight.rotation[:, 2] @ tip + sight.translation_mm[:, 2]
         return _TIP_SD_PX * float((depth / sight.focal_px).max())

@@ -210,7 +210,7 @@ def optics(rig: Rig, names: tuple[str, ...]) -> Optics:
 
 def tip_axes(views: Mapping[str, View], rotation: Array) -> Array:
     """Directions (V, 3) of the tips' axes in the base frame; rotations (V, 3, 3) are ``camera_from_base``."""
-    return np.stack([view.tip.axis @ turn for view, turn in zip(views.values(), rotation, strict=True)])
+    return np.array([view.tip.axis @ turn for view, turn in zip(views.values(), rotation, strict=True)])
 
 
 def centre_of(camera_from_base: Pose) -> Array:

@@ -98,7 +98,7 @@ class Silhouette:
             tip = flat_tip(views, rig, *end, end_radius or problem.radius_mm)
             problem = problem._replace(end_mm=sealed(np.array(tip)))
             chosen = fit_family(problem, chosen.family, chosen.parameters)
-        if not chosen.rms_px <= max(_RMS_MAX_PX, _RMS_MAX_SD * _roughness_px(problem)):
+        if not (chosen.rms_px <= _RMS_MAX_PX or chosen.rms_px <= _RMS_MAX_SD * _roughness_px(problem)):
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")
         if not chosen.tip_off_px < _TIP_OFF_PX:
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="no curve along the edges ends in the tip")
