@@ -10,10 +10,10 @@ from fit_scenes import views_of
 from tubesight.apps.evaluate import distance_to_polyline
 from tubesight.core import Array, Tip, Tube, Unmeasurable
 from tubesight.geometry.curve import NodeCurve
-from tubesight.geometry.families import FAMILIES, FINE_SPLINE, INTERVALS, SPLINE, nodes_of, spatial_like
+from tubesight.geometry.families import FAMILIES, FINE_SPLINE, INTERVALS, SPLINE, nodes_of, spatial_like, turns_of
 from tubesight.geometry.pose import Pose
 from tubesight.methods import METHODS
-from tubesight.methods import silhouette as module
+from tubesight.methods import choice as module
 from tubesight.methods.fit import Fit
 from tubesight.sensor import ShapeSensor
 from tubesight.simulate import Arc, CurvaturePolynomial, Helix, Phantom, Pieces, render_pair, rig_around
@@ -127,7 +127,8 @@ def test_splines_are_like_the_curve_they_start_from(count: int) -> None:
     start = Pose.from_rotvec([0.3, -0.2, 0.5], [1.0, 2.0, 3.0])
     nodes = nodes_of(FAMILIES[name], np.append(p, np.zeros(4)), start)
     assert nodes.tangents.shape == (INTERVALS + 1, 3)
-    np.testing.assert_allclose(spatial_like(nodes.tangents, nodes.s_mm[-1], start, count), p, atol=1e-6)
+    turns = turns_of(nodes.tangents, start)
+    np.testing.assert_allclose(spatial_like(turns, nodes.s_mm[-1], count), p, atol=1e-6)
 
 
 @pytest.mark.parametrize(
