@@ -148,3 +148,39 @@ def test_photographs(phantom: Phantom, family: str) -> None:
     assert result.curve.model == family
     assert result.curve.note in result.notes
     assert max(errors_mm(result.curve, phantom)) < 0.15
+
+
+FIVE = Tube(5.0, Tip("ball", 7.0), clamped=True)
+
+
+@pytest.mark.parametrize(
+    ("phantom", "limit_mm"),
+    [
+        # Both bend towards a camera so that their image has a corner.
+        (pieces((92, 270, 80), (92, 316, 80)), 0.15),
+        (Helix(1 / 50, 1 / 40, np.radians(120), 200.0), 0.3),
+    ],
+    ids=["hook", "helix"],
+)
+def test_photographs_with_corners(phantom: Phantom, limit_mm: float) -> None:
+    """Round corners, at which no scan shows two edges: segments within 0.15 mm, helices within 0.3 mm."""
+    rig = rig_around(90.0)
+    result = ShapeSensor(rig, FIVE)(render_pair(rig, phantom, FIVE))
+    assert result, result.notes
+    assert isinstance(result.curve, NodeCurve)
+    assert any("bridged" in note for note in result.notes)
+    assert max(errors_mm(result.curve, phantom)) < limit_mm
+
+
+@pytest.mark.parametrize(
+    "phantom",
+    [Helix(1 / 25, 1 / 150, 0.8, 200.0), Helix(1 / 50, 1 / 40, np.radians(330), 200.0)],
+    ids=["short cut past a loop", "corners in both views"],
+)
+def test_what_cannot_be_followed_is_not_measured(phantom: Phantom) -> None:
+    """A loop that a walk can cut short, and corners that hide more than a family tells: within 1 mm, or a status."""
+    rig = rig_around(90.0)
+    result = ShapeSensor(rig, FIVE)(render_pair(rig, phantom, FIVE))
+    if result:
+        assert isinstance(result.curve, NodeCurve)
+        assert errors_mm(result.curve, phantom)[0] < 1.0

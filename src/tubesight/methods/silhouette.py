@@ -37,9 +37,12 @@ _TIP_CERTAIN_PX = 2.0
 _FIRST_SHARE, _PLANES_APART = 6, 0.07
 # Scans that tell the radius at the base and at the tip.
 _FIRST, _LAST = slice(None, 5), slice(-5, None)
-# Nor is one that leaves more than this many deviations of the rows, where edges are rough (the right family of a thin
-# robot before patterned things: 4.5 of them).
-_RMS_MAX_SD = 6.0
+# Where edges are rough, so many of their deviations may be left (the right family of a thin robot before patterned
+# things: 4.5), up to half of where edges stop counting.
+_RMS_MAX_SD, _RMS_MOST_PX = 6.0, 1.5
+# Families of more parameters than these bend to whatever edges there are: on photographs of 24 helices those that were
+# right to 0.15 mm left 0.04 to 0.25 px, one that was off by 0.4 mm left 0.41 px, one that was off by 1.2 mm 0.50 px.
+_SIMPLE, _BENT_MAX_PX = 7, 0.45
 
 # Frame in which a clamped tube starts.
 _CLAMP = Pose.identity()
@@ -84,7 +87,7 @@ class Silhouette:
             tip = flat_tip(views, rig, *end, end_radius or problem.radius_mm)
             problem = problem._replace(end_mm=sealed(np.array(tip)))
             chosen = fit_family(problem, chosen.family, chosen.parameters)
-        if not chosen.rms_px <= max(RMS_MAX_PX, _RMS_MAX_SD * roughness_px(problem)):
+        if not chosen.rms_px <= _most_px(chosen, problem):
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")
         if not chosen.tip_off_px < TIP_OFF_PX:
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="no curve along the edges ends in the tip")
@@ -104,6 +107,13 @@ class Silhouette:
             return frame_along(base, way)
         curve = self.starter(views, rig, tube)
         return frame_along(curve.at([0.0])[0], curve.tangent([0.0])[0])
+
+
+def _most_px(fit: Fit, problem: Problem) -> float:
+    """Largest rms with which a fit of this family is an answer."""
+    if fit.family.count > _SIMPLE:
+        return _BENT_MAX_PX
+    return float(np.clip(_RMS_MAX_SD * roughness_px(problem), RMS_MAX_PX, _RMS_MOST_PX))
 
 
 def _tip(views: Mapping[str, View], rig: Rig) -> Array:
