@@ -16,7 +16,7 @@ from tubesight.methods import METHODS
 from tubesight.methods import choice as module
 from tubesight.methods.fit import Fit
 from tubesight.sensor import ShapeSensor
-from tubesight.simulate import Arc, CurvaturePolynomial, Helix, Phantom, Pieces, render_pair, rig_around
+from tubesight.simulate import Arc, CurvaturePolynomial, EllipseArc, Helix, Phantom, Pieces, render_pair, rig_around
 from tubesight.vision.view import View
 
 RIG = rig_around(90.0, distance_mm=400.0)
@@ -184,3 +184,15 @@ def test_what_cannot_be_followed_is_not_measured(phantom: Phantom) -> None:
     if result:
         assert isinstance(result.curve, NodeCurve)
         assert errors_mm(result.curve, phantom)[0] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("phantom", "family"),
+    [(EllipseArc(0.965, 2.39, 6.23, 142.0), "ellipse"), (pieces((42, 207, 62), (32, 210, 69)), "arcs2")],
+    ids=["long ellipse", "two like bends"],
+)
+def test_simple_shapes_keep_their_family(phantom: Phantom, family: str) -> None:
+    """Ellipses to which the fit takes long, and two bends that an ellipse is near: 0.1 mm, as for segments."""
+    found = measured(seen(phantom, CLAMPED), CLAMPED)
+    assert found.model == family
+    assert max(errors_mm(found, phantom)) < 0.1

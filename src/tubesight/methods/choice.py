@@ -33,7 +33,7 @@ _RMS_FLOOR_PX = 0.06
 _GOOD_PX = 0.25
 # A good plane quadratic curve that leaves more than this many deviations of the edges is challenged by two bends, and
 # kept unless they leave less than its rms divided by `_PLANE_WITHIN`. On 73 of 76 photographs the right family leaves
-# 0.4 to 1.9 of them; two slight bends in space that an ellipse fits to 0.2 px leave 2.7.
+# 0.4 to 1.9 of them; two bends the same way that an ellipse fits to 0.2 px leave 2.7.
 _NOISE_SD, _PLANE, _PLANE_WITHIN = 2.0, ("circle", "ellipse"), 2.0
 # Up to this rms of a few steps of a plane polynomial an ellipse is fitted to its end: true ellipses left 1.2 to 2.1 px,
 # S-shapes and robots of several segments mostly 2.3 px and more.
