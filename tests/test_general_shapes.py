@@ -10,13 +10,13 @@ from fit_scenes import views_of
 from tubesight.apps.evaluate import distance_to_polyline
 from tubesight.core import Array, Tip, Tube, Unmeasurable
 from tubesight.geometry.curve import NodeCurve
-from tubesight.geometry.families import FAMILIES, FINE_SPLINE, INTERVALS, SPLINE, nodes_of, spatial_like
+from tubesight.geometry.families import FAMILIES, FINE_SPLINE, INTERVALS, SPLINE, nodes_of, spatial_like, turns_of
 from tubesight.geometry.pose import Pose
 from tubesight.methods import METHODS
-from tubesight.methods import silhouette as module
+from tubesight.methods import choice as module
 from tubesight.methods.fit import Fit
 from tubesight.sensor import ShapeSensor
-from tubesight.simulate import Arc, CurvaturePolynomial, Helix, Phantom, Pieces, render_pair, rig_around
+from tubesight.simulate import Arc, CurvaturePolynomial, EllipseArc, Helix, Phantom, Pieces, render_pair, rig_around
 from tubesight.vision.view import View
 
 RIG = rig_around(90.0, distance_mm=400.0)
@@ -127,7 +127,8 @@ def test_splines_are_like_the_curve_they_start_from(count: int) -> None:
     start = Pose.from_rotvec([0.3, -0.2, 0.5], [1.0, 2.0, 3.0])
     nodes = nodes_of(FAMILIES[name], np.append(p, np.zeros(4)), start)
     assert nodes.tangents.shape == (INTERVALS + 1, 3)
-    np.testing.assert_allclose(spatial_like(nodes.tangents, nodes.s_mm[-1], start, count), p, atol=1e-6)
+    turns = turns_of(nodes.tangents, start)
+    np.testing.assert_allclose(spatial_like(turns, nodes.s_mm[-1], count), p, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -147,3 +148,51 @@ def test_photographs(phantom: Phantom, family: str) -> None:
     assert result.curve.model == family
     assert result.curve.note in result.notes
     assert max(errors_mm(result.curve, phantom)) < 0.15
+
+
+FIVE = Tube(5.0, Tip("ball", 7.0), clamped=True)
+
+
+@pytest.mark.parametrize(
+    ("phantom", "limit_mm"),
+    [
+        # Both bend towards a camera so that their image has a corner.
+        (pieces((92, 270, 80), (92, 316, 80)), 0.15),
+        (Helix(1 / 50, 1 / 40, np.radians(120), 200.0), 0.3),
+    ],
+    ids=["hook", "helix"],
+)
+def test_photographs_with_corners(phantom: Phantom, limit_mm: float) -> None:
+    """Round corners, at which no scan shows two edges: segments within 0.15 mm, helices within 0.3 mm."""
+    rig = rig_around(90.0)
+    result = ShapeSensor(rig, FIVE)(render_pair(rig, phantom, FIVE))
+    assert result, result.notes
+    assert isinstance(result.curve, NodeCurve)
+    assert any("bridged" in note for note in result.notes)
+    assert max(errors_mm(result.curve, phantom)) < limit_mm
+
+
+@pytest.mark.parametrize(
+    "phantom",
+    [Helix(1 / 25, 1 / 150, 0.8, 200.0), Helix(1 / 50, 1 / 40, np.radians(330), 200.0)],
+    ids=["short cut past a loop", "corners in both views"],
+)
+def test_what_cannot_be_followed_is_not_measured(phantom: Phantom) -> None:
+    """A loop that a walk can cut short, and corners that hide more than a family tells: within 1 mm, or a status."""
+    rig = rig_around(90.0)
+    result = ShapeSensor(rig, FIVE)(render_pair(rig, phantom, FIVE))
+    if result:
+        assert isinstance(result.curve, NodeCurve)
+        assert errors_mm(result.curve, phantom)[0] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("phantom", "family"),
+    [(EllipseArc(0.965, 2.39, 6.23, 142.0), "ellipse"), (pieces((42, 207, 62), (32, 210, 69)), "arcs2")],
+    ids=["long ellipse", "two like bends"],
+)
+def test_simple_shapes_keep_their_family(phantom: Phantom, family: str) -> None:
+    """Ellipses to which the fit takes long, and two bends that an ellipse is near: 0.1 mm, as for segments."""
+    found = measured(seen(phantom, CLAMPED), CLAMPED)
+    assert found.model == family
+    assert max(errors_mm(found, phantom)) < 0.1

@@ -321,22 +321,38 @@ def bends_of_pieces(coefficients: Array, count: int) -> Array:
     return np.asarray(turns.reshape(count, -1, 2).sum(1))
 
 
-def spatial_like(tangents: Array, length_mm: float, start: Pose, count: int) -> Array:
-    """Parameters (2 count + 1,) of `spatial_chain` nearest to a curve with tangents (M + 1, 3) at the nodes."""
-    frame = start.rotation @ bend_rotation(_bend_to(start.rotation.T @ tangents[0]))
-    turns = np.empty((INTERVALS, 2))
-    for k, tangent in enumerate(tangents[1:]):
-        turns[k] = _bend_to(frame.T @ tangent)
-        frame = frame @ bend_rotation(turns[k])
+def spatial_like(turns: Array, length_mm: float, count: int) -> Array:
+    """Parameters (2 count + 1,) of `spatial_chain` nearest to a curve whose arcs turn by `turns` (M, 2)."""
     first = first_of(count)
     coefficients = np.linalg.lstsq(BASIS_TURNS[first : first + count].T, turns, rcond=None)[0]
     return np.append(coefficients.ravel(), length_mm)
 
 
-def _bend_to(local: Array) -> Array:
-    """Bend vector (2,) that turns +z to a unit direction (3,)."""
-    side = float(np.hypot(local[0], local[1]))
-    return np.asarray(local[:2] * (np.arctan2(side, local[2]) / side if side > 0 else 1.0))
+def turns_of(tangents: Array, start: Pose) -> Array:
+    """By how much (M, 2) the arcs of a curve turn, from its unit tangents (M + 1, 3) at the nodes.
+
+    The rotation without twist from t to u carries a vector x across t to ``x - (u . x) / (1 + t . u) (t + u)``.
+
+    Parameters
+    ----------
+    start
+        ``base_from_start``: its x axis, carried along without twist, is the first of the two ways across the curve.
+    """
+    along = np.concatenate([start.rotation[:, 2:].T, tangents])
+    both = along[:-1] + along[1:]
+    steps = (both / (1 + (along[:-1] * along[1:]).sum(1, keepdims=True))).tolist()
+    x = tuple(start.rotation[:, 0].tolist())
+    sides = []
+    for (sx, sy, sz), (ux, uy, uz) in zip(steps, along[1:].tolist(), strict=True):
+        by = ux * x[0] + uy * x[1] + uz * x[2]
+        x = (x[0] - by * sx, x[1] - by * sy, x[2] - by * sz)
+        sides.append(x)
+    one = np.array(sides)[:-1]
+    other = np.cross(tangents[:-1], one)
+    across = np.stack([(tangents[1:] * one).sum(1), (tangents[1:] * other).sum(1)], 1)
+    size = np.hypot(across[:, 0], across[:, 1])
+    angle = np.arctan2(size, (tangents[1:] * tangents[:-1]).sum(1))
+    return np.asarray(across * np.divide(angle, size, out=np.ones(len(size)), where=size > 0)[:, None])
 
 
 def ellipse_like(polynomial: Array) -> Array:

@@ -25,6 +25,9 @@ _TIP_GAP_MAX_PX = 4.0
 _BASE_GAP_WIDTHS = 0.5
 # Places of a centreline nearer to the next one than this share of the median step are left out of a spline.
 _NEAR_STEPS = 0.3
+# A gap of so many usual steps may hide a corner, where the way turns by 45 degrees or more; lines that meet farther
+# away than so many times the gap are nearly parallel: where they meet says little.
+_CORNER_STEPS, _CORNER_SINE, _CORNER_FAR = 1.6, 0.7, 1.5
 # Places of a curve that are reprojected: its image strays from their polyline by less than 0.01 px.
 _SHARES = np.linspace(0.0, 1.0, 100)
 
@@ -50,8 +53,28 @@ def _best_pair(names: tuple[str, ...], rig: Rig) -> tuple[str, str]:
 
 
 def way_of(view: View) -> Array:
-    """Rays ``v = (x, y, 1)`` (N, 3) of the whole centreline of a view: base, centreline, tip."""
-    return np.vstack([view.base, view.rays, view.tip.axis / view.tip.axis[2]])
+    """Rays ``v = (x, y, 1)`` (N, 3) of the whole centreline of a view: base, centreline with its corners, tip."""
+    return np.vstack([view.base, _with_corners(view.rays), view.tip.axis / view.tip.axis[2]])
+
+
+def _with_corners(way: Array) -> Array:
+    """Add to a centreline (N, 3) the corners that it goes round unseen: where the ways on both sides of a gap meet."""
+    steps = np.diff(way[:, :2], axis=0)
+    size = np.linalg.norm(steps, axis=1)
+    inserted, at = [], []
+    for k in np.flatnonzero(size > _CORNER_STEPS * np.median(size)):
+        if not 0 < k < len(steps) - 1:
+            continue
+        before, after = steps[k - 1] / size[k - 1], steps[k + 1] / size[k + 1]
+        turn = before[0] * after[1] - before[1] * after[0]
+        if abs(turn) < _CORNER_SINE and before @ after > 0:
+            continue
+        a = (steps[k, 0] * after[1] - steps[k, 1] * after[0]) / turn
+        b = (before[0] * steps[k, 1] - before[1] * steps[k, 0]) / turn
+        if 0 < a < _CORNER_FAR * size[k] and 0 < b < _CORNER_FAR * size[k]:
+            inserted.append(np.append(way[k, :2] + a * before, 1.0))
+            at.append(k + 1)
+    return np.insert(way, at, np.array(inserted), axis=0) if at else way
 
 
 def resampled(way: Array, share: Array) -> Array:

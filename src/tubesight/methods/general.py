@@ -6,7 +6,15 @@ import numpy as np
 
 from tubesight.core import Array
 from tubesight.geometry.curve import Curve3D
-from tubesight.geometry.families import FAMILIES, FINE_SPLINE, INTERVALS, SPLINE, bends_of_pieces, spatial_like
+from tubesight.geometry.families import (
+    CHAINS,
+    FAMILIES,
+    FINE_SPLINE,
+    INTERVALS,
+    SPLINE,
+    bends_of_pieces,
+    spatial_like,
+)
 from tubesight.geometry.matching import monotone_way
 from tubesight.geometry.pose import Pose
 from tubesight.methods.fit import Fit, fit_family
@@ -14,27 +22,27 @@ from tubesight.methods.rays import ROWS, Problem
 
 # Samples of a curve by which the place of a ray is told: four an arc.
 _SAMPLES = 4 * INTERVALS + 1
+# A finer spline is given up where it cannot lower the rms by this factor: with less it is not chosen.
+_FINER = 1.35
 
 
-def general_fits(problem: Problem, curve: Curve3D, good_px: float) -> dict[str, Fit]:
+def general_fits(problem: Problem, turns: Array, length_mm: float, good_px: float) -> dict[str, Fit]:
     """Fit splines of curvature, the finer one where the coarse one is not good, and pieces like them.
 
     Parameters
     ----------
-    problem
-        With the places along `curve` (`placed`).
-    curve
-        A curve along the edges, a few tenths of a millimetre off.
+    turns, length_mm
+        By how much the arcs of a curve near the edges turn (M, 2) (`tubesight.geometry.families.turns_of`), and its
+        length.
     good_px
         Rms from which a spline is fine enough.
     """
-    tangents = curve.tangent(np.linspace(0.0, curve.length_mm, INTERVALS + 1))
-    fits: dict[str, Fit] = {}
-    for name, count in (("spline", SPLINE), ("fine_spline", FINE_SPLINE)):
-        guess = spatial_like(tangents, curve.length_mm, problem.start, count)
-        fits[name] = fit_family(problem, FAMILIES[name], guess)
-        if fits[name].rms_px <= good_px:
-            break
+    fits = {"spline": fit_family(problem, FAMILIES["spline"], spatial_like(turns, length_mm, SPLINE))}
+    name = "spline"
+    if fits[name].rms_px > good_px:
+        name = "fine_spline"
+        guess = spatial_like(turns_by(fits["spline"]), fits["spline"].nodes.s_mm[-1], FINE_SPLINE)
+        fits[name] = fit_family(problem, FAMILIES[name], guess, fits["spline"].rms_px / _FINER)
     smooth = fits[name].parameters[: FAMILIES[name].count]
     for pieces in (4, 6):
         bends = bends_of_pieces(smooth[:-1].reshape(-1, 2), pieces)
@@ -43,6 +51,11 @@ def general_fits(problem: Problem, curve: Curve3D, good_px: float) -> dict[str, 
         if fits[f"arcs{pieces}"].rms_px <= good_px:
             break
     return fits
+
+
+def turns_by(fit: Fit) -> Array:
+    """By how much (M, 2) the arcs of a fit turn."""
+    return CHAINS[fit.family.kind](fit.parameters[: fit.family.count]).turns
 
 
 def placed(problem: Problem, curve: Curve3D, start: Pose) -> Problem:
@@ -71,8 +84,14 @@ def placed(problem: Problem, curve: Curve3D, start: Pose) -> Problem:
 
 def _in_order(squared: Array) -> Array:
     """Shares (n,) of the samples nearest to each ray on the cheapest monotone way through distances (n, samples)."""
-    nearest: list[list[int]] = [[] for _ in range(len(squared))]
-    for ray, sample in monotone_way(squared, 0.0):
-        nearest[ray].append(sample)
-    chosen = [some[int(np.argmin(squared[i, some]))] for i, some in enumerate(nearest)]
-    return np.asarray(np.array(chosen, dtype=np.float64) / (squared.shape[1] - 1))
+    way = monotone_way(squared, 0.0)
+    ray, sample = way[np.lexsort((squared[way[:, 0], way[:, 1]], way[:, 0]))].T
+    _, nearest = np.unique(ray, return_index=True)
+    return np.asarray(sample[nearest] / (squared.shape[1] - 1))
+
+
+def frame_along(start_mm: Array, z: Array) -> Pose:
+    """Frame ``base_from_start`` with its third axis along a unit vector `z` (3,)."""
+    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
+    x /= np.linalg.norm(x)
+    return Pose(np.stack([x, np.cross(z, x), z], 1), start_mm)

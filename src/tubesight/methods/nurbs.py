@@ -42,6 +42,9 @@ _WIDE = (0.5, 2.5)
 # In samples of half a pixel: how far the strongest edge lies from where the share passes a half, and where the levels
 # of background and tube are taken, before and after it.
 _NEAR, _BEFORE, _AFTER = 4, (5, 8), (2, 4)
+# Sine of the angle between the colours of tube and background from which mixtures of them are told apart: noise is
+# enlarged by the inverse of it.
+_APART = 0.2
 # Weight of the control polygon's second differences (px per mm): a thousandth of what an edge weighs.
 _TENSION = 0.03
 # Weights (px per mm) of a step along the curve and of leaving its ends: a millimetre across it is two pixels and more
@@ -140,7 +143,7 @@ def _search(points: Array, name: str, view: RegionView, rig: Rig, far_share: flo
     places = px[:, None] + along[:, None] * normal[:, None]
     share = np.nan_to_num(view.signal(places))
     # The strongest edge is one of light, from the background's colour to the tube's.
-    light = np.nan_to_num(sample(view.signal.image, places)) @ (view.signal.tube - view.signal.cloth)
+    light = np.nan_to_num(sample(view.signal.image, places)) @ _edge_of(view.signal.tube, view.signal.cloth)
     offset = np.array([_edges(*rows, along, width) for rows in zip(share, light, strict=True)])
     edges = camera.unproject(px[:, None] + offset[..., None] * normal[:, None])
     axis = (edges / np.linalg.norm(edges, axis=-1, keepdims=True)).sum(1)
@@ -148,6 +151,17 @@ def _search(points: Array, name: str, view: RegionView, rig: Rig, far_share: flo
     middle = np.full(len(px), np.nan)
     middle[found] = ((camera.project(axis[found]) - px[found]) * normal[found]).sum(1)
     return _Normals(middle, by_place / 1e-3)
+
+
+def _edge_of(tube: Array, cloth: Array) -> Array:
+    """Weights (C,) of a colour that rise where background (C,) gives way to tube (C,), however well this is lit.
+
+    A pixel at an edge is a mixture ``a tube + b cloth``: less of the background's part b, which the tube's shading has
+    no part in. Colours that differ in brightness alone leave the difference of both.
+    """
+    colours = np.stack([tube, cloth], 1)
+    apart = 1 - float(tube @ cloth) ** 2 / max(float(tube @ tube) * float(cloth @ cloth), 1e-12)
+    return tube - cloth if apart < _APART**2 else -np.linalg.pinv(colours)[1]
 
 
 def _edges(share: Array, light: Array, along: Array, width_px: float) -> tuple[float, float]:

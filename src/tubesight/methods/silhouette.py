@@ -6,7 +6,6 @@ which is exact for a tube of constant radius. The family of the curve is the sim
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -16,50 +15,40 @@ import numpy as np
 from tubesight.core import Array, Status, Tip, Tube, Unmeasurable, sealed
 from tubesight.geometry.curve import Curve3D, NodeCurve
 from tubesight.geometry.deviations import Deviations
-from tubesight.geometry.families import BASE, FAMILIES, bends_of_pieces, ellipse_like
+from tubesight.geometry.families import (
+    BASE,
+)
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.methods.agreement import base_of, flat_tip, triangulate_tip
+from tubesight.methods.choice import RMS_MAX_PX, TIP_OFF_PX, AnyShape, choose_family, roughness_px
 from tubesight.methods.fit import Fit, fit_family
-from tubesight.methods.general import general_fits, placed
+from tubesight.methods.general import frame_along
 from tubesight.methods.ray_kernels import meeting_point
-from tubesight.methods.rays import ROWS, Problem, collect, optics, tip_axes
+from tubesight.methods.rays import Problem, collect, optics, tip_axes
 from tubesight.methods.taper import evened
 from tubesight.methods.uncertainty import picture_covariance, rig_covariance
 from tubesight.vision.view import View
 
-# The simplest family whose rms is within this factor of the best one's is taken: residuals on photographs are
-# systematic, so that a criterion for independent noise would take too rich a family.
-_SIMPLEST_WITHIN = 1.35
-# Rms under which families are not compared: shading and compression move edges by this much.
-_RMS_FLOOR_PX = 0.06
-# A plane quadratic curve with a smaller rms than this is not challenged by shapes of several bends: on photographs the
-# right family leaves 0.03 to 0.2 px, a wrong one over 0.5 px.
-_GOOD_PX = 0.25
-# A tube whose centreline bends more sharply than this share of its radius' inverse kinks.
-_SHARPEST = 0.7
-# A good circle is challenged only where a few steps of a polynomial lower its rms by this factor: `_SIMPLEST_WITHIN` is
-# farther away.
-_WORTH, _FEW_STEPS = 1.15, 2
 # Axes of tips that miss each other by less than this meet, whatever the lens does to a pixel there.
 _TIP_CERTAIN_PX = 2.0
-# Median distance of the edges of a tip from its model, above which the curve ends elsewhere. On photographs: 0.5 px.
-_TIP_OFF_PX = 2.0
 # The way of a tube at its base is told from this part of its centreline, where the planes of the views meet at 6
 # degrees or more (sqrt(2) times the sine of half of it).
 _FIRST_SHARE, _PLANES_APART = 6, 0.07
 # Scans that tell the radius at the base and at the tip.
 _FIRST, _LAST = slice(None, 5), slice(-5, None)
-# No family with a larger rms is an answer: pixels, or deviations of the rows where edges are rough (the right family
-# of a thin robot before patterned things: 4.5 of them).
-_RMS_MAX_PX, _RMS_MAX_SD = 0.6, 6.0
+# Where edges are rough, so many of their deviations may be left (the right family of a thin robot before patterned
+# things: 4.5), up to half of where edges stop counting.
+_RMS_MAX_SD, _RMS_MOST_PX = 6.0, 1.5
+# Families of more parameters than these bend to whatever edges there are: on photographs of 24 helices those that were
+# right to 0.15 mm left 0.04 to 0.25 px, one that was off by 0.4 mm left 0.41 px, one that was off by 1.2 mm 0.50 px.
+_SIMPLE, _BENT_MAX_PX = 7, 0.45
 
 # Frame in which a clamped tube starts.
 _CLAMP = Pose.identity()
 
+
 Starter = Callable[[Mapping[str, View], Rig, Tube], Curve3D]
-# Finds a curve whatever its shape, where there is one.
-AnyShape = Callable[[], Curve3D | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +87,9 @@ class Silhouette:
             tip = flat_tip(views, rig, *end, end_radius or problem.radius_mm)
             problem = problem._replace(end_mm=sealed(np.array(tip)))
             chosen = fit_family(problem, chosen.family, chosen.parameters)
-        if not (chosen.rms_px <= _RMS_MAX_PX or chosen.rms_px <= _RMS_MAX_SD * _roughness_px(problem)):
+        if not chosen.rms_px <= _most_px(chosen, problem):
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")
-        if not chosen.tip_off_px < _TIP_OFF_PX:
+        if not chosen.tip_off_px < TIP_OFF_PX:
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="no curve along the edges ends in the tip")
         return _with_deviations(problem, chosen, why, views, rig, tube)
 
@@ -115,9 +104,18 @@ class Silhouette:
         """Frame in which a tube without a clamp starts: where both views see its base, or else by the starter."""
         base, way = base_of(views, rig), _way_at_base(views, rig)
         if base is not None and way is not None:
-            return _frame(base, way)
+            return frame_along(base, way)
         curve = self.starter(views, rig, tube)
-        return _frame(curve.at([0.0])[0], curve.tangent([0.0])[0])
+        return frame_along(curve.at([0.0])[0], curve.tangent([0.0])[0])
+
+
+def _most_px(fit: Fit, problem: Problem) -> float:
+    """Largest rms with which a fit of this family is an answer."""
+    if fit.family.count > _SIMPLE:
+        return _BENT_MAX_PX
+    if fit.rms_px <= RMS_MAX_PX:
+        return RMS_MAX_PX
+    return float(np.clip(_RMS_MAX_SD * roughness_px(problem), RMS_MAX_PX, _RMS_MOST_PX))
 
 
 def _tip(views: Mapping[str, View], rig: Rig) -> Array:
@@ -193,119 +191,6 @@ def _way_at_base(views: Mapping[str, View], rig: Rig) -> Array | None:
     if spread[1] < _PLANES_APART:
         return None
     return np.asarray(axes[-1] if axes[-1] @ forwards >= 0 else -axes[-1])
-
-
-def _frame(start_mm: Array, z: Array) -> Pose:
-    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
-    x /= np.linalg.norm(x)
-    return Pose(np.stack([x, np.cross(z, x), z], 1), start_mm)
-
-
-def choose_family(problem: Problem, tip: Array, any_shape: AnyShape) -> tuple[Problem, Fit, str]:
-    """Fit families of growing freedom and return the simplest that explains the edges.
-
-    Parameters
-    ----------
-    any_shape
-        Finds a curve to start splines from, where no other family explains the edges.
-
-    Returns
-    -------
-    problem, fit, why
-        The problem with the start, and the places along the tube, that the fit began with; the fit; and for a shape of
-        several bends the reason in words.
-
-    Raises
-    ------
-    Unmeasurable
-        If not even a circle can be fitted.
-    """
-    circle = fit_family(problem, FAMILIES["circle"], _arc_to(problem, tip), _RMS_MAX_PX)
-    if not math.isfinite(circle.rms_px):
-        raise Unmeasurable(Status.NEAR_DEGENERATE, detail="no curve can be fitted to the edges")
-    good = circle.rms_px <= _GOOD_PX
-    if circle.rms_px <= _RMS_FLOOR_PX:
-        return problem, circle, ""
-    # Shapes are nearly linear in the coefficients of a polynomial: a few steps tell what a better family could gain.
-    bx, by = circle.parameters[:2]
-    plane = np.concatenate([[np.arctan2(by, bx), np.hypot(bx, by), 0.0, 0.0], circle.parameters[2:]])
-    better = fit_family(problem, FAMILIES["polynomial2"], plane, circle.rms_px / _WORTH if good else np.inf, _FEW_STEPS)
-    if good and better.rms_px > circle.rms_px / _WORTH:
-        return problem, circle, ""
-    guess = np.append(ellipse_like(better.parameters[:5]), better.parameters[5:])
-    fits = {"circle": circle, "ellipse": fit_family(problem, FAMILIES["ellipse"], guess, _RMS_MAX_PX)}
-    for names in ((), ("spatial2", "polynomial2", "arcs2"), ("spatial4", "polynomial3", "arcs3")):
-        for name in names:
-            fits[name] = fit_family(problem, FAMILIES[name], _guess(name, fits))
-        best, plausible = _best_of(fits, problem)
-        if best <= _GOOD_PX:
-            break
-    if best > _GOOD_PX and (curve := any_shape()) is not None:
-        start = problem.start if problem.clamped else _frame(curve.at([0.0])[0], curve.tangent([0.0])[0])
-        general = placed(problem, curve, start)
-        found = general_fits(general, curve, _GOOD_PX)
-        best, plausible = _best_of(fits | found, problem)
-    else:
-        general, found = problem, {}
-    limit = max(_SIMPLEST_WITHIN * best, _RMS_FLOOR_PX)
-    chosen = next(fit for fit in sorted(plausible, key=lambda f: f.family.count) if fit.rms_px <= limit)
-    return general if chosen.family.name in found else problem, chosen, _why(chosen, fits)
-
-
-def _why(chosen: Fit, fits: Mapping[str, Fit]) -> str:
-    """Say why a shape is none of those with one bend."""
-    simple = [fits[name].rms_px for name in ("circle", "ellipse")]
-    if chosen.family.name in ("circle", "ellipse"):
-        return ""
-    return (
-        f"{chosen.family.name}: {chosen.rms_px:.2f} px off the edges, the best circle or ellipse {min(simple):.2f} px"
-    )
-
-
-def _best_of(fits: Mapping[str, Fit], problem: Problem) -> tuple[float, list[Fit]]:
-    """Least rms of the fits that may be true, and those fits."""
-    plausible = [fit for fit in fits.values() if _is_tube(fit, problem.radius_mm)] or list(fits.values())
-    plausible = [fit for fit in plausible if fit.tip_off_px < _TIP_OFF_PX] or plausible
-    return min(fit.rms_px for fit in plausible), plausible
-
-
-def _arc_to(problem: Problem, tip: Array) -> Array:
-    """Parameters (3,) of the circle that leaves the start along its axis and ends in the tip (`clamped_arc`)."""
-    x, y, z = ((tip - problem.start_mm) @ problem.start_rotation).tolist()
-    side, chord = math.hypot(x, y), math.hypot(x, y, z)
-    half = math.atan2(side, z)
-    bend = 2 * half / side if side > 0 else 0.0
-    return np.array([bend * x, bend * y, chord * half / math.sin(half) if 0 < half < math.pi else chord])
-
-
-def _is_tube(fit: Fit, radius_mm: float) -> bool:
-    """Whether a tube of this radius can be bent like that without running into itself."""
-    sharpest = float(np.sqrt((fit.nodes.curvature**2).sum(1).max()))
-    return sharpest * radius_mm < _SHARPEST
-
-
-def _roughness_px(problem: Problem) -> float:
-    """Median deviation of the rows of the tube's edges, pixels."""
-    sides = problem.row_sd_px.reshape(-1, ROWS)[:, : ROWS - 1]
-    return float(np.median(sides))
-
-
-def _guess(name: str, fits: dict[str, Fit]) -> Array:
-    """First guess of a family's parameters from the families already fitted."""
-    bx, by, length = fits["circle"].parameters[:3]
-    if name == "spatial2":
-        return np.array([bx, by, 0.0, 0.0, 0.0, 0.0, length])
-    richer = fits["spatial2" if name in ("polynomial2", "arcs2", "spatial4") else "spatial4"].parameters
-    if name == "spatial4":
-        return np.concatenate([richer[:6], np.zeros(4), richer[6:7]])
-    if name in ("arcs2", "arcs3"):
-        count = int(name[-1])
-        richer = richer[: FAMILIES["spatial2" if count == 2 else "spatial4"].count]
-        bends = bends_of_pieces(richer[:-1].reshape(-1, 2), count)
-        return np.concatenate([bends.ravel(), np.zeros(count - 1), [length]])
-    if name == "polynomial2":
-        return np.array([np.arctan2(by, bx), np.hypot(bx, by), 0.0, 0.0, length])
-    return np.insert(fits["polynomial2"].parameters[:5], 4, 0.0)
 
 
 def _with_deviations(

@@ -14,8 +14,8 @@ from tubesight.vision.ending import FOUND, Ending
 from tubesight.vision.signal import Signal, planes
 from tubesight.vision.silhouette import REASONS
 from tubesight.vision.tip import Contour
-from tubesight.vision.view import TipView, View, gap_notes
-from tubesight.vision.walker import Track
+from tubesight.vision.view import TipView, View
+from tubesight.vision.walker import GAP_TOLD, Track
 
 _NOTHING = np.empty((0, 0, 1), np.uint8)
 
@@ -71,7 +71,7 @@ def walk_from_base(signal: Signal, start_px: Array, way: Array, width_px: float)
 
 
 def _track(middles: Array, widths: Array, gaps: Array) -> Track:
-    return Track(middles, widths, tuple(gap for gap in gaps.tolist() if gap > 1.0))
+    return Track(middles, widths, tuple(gap for gap in gaps.tolist() if gap > GAP_TOLD))
 
 
 def measure(signal: Signal, track: Track) -> tuple[Array, float, Array]:
@@ -147,7 +147,7 @@ def see_from_base(
     if background is not None and behind.shape != image.shape:
         return None
     ratio = (tube.tip.diameter_mm or tube.diameter_mm) / tube.diameter_mm if tube.tip.shape == "ball" else 1.0
-    why, edges, unit, rays, centreline, gaps, points, few, seen = entry.see_from_base(
+    why, edges, unit, rays, centreline, points, few, seen = entry.see_from_base(
         image,
         behind,
         _pair(start_px),
@@ -162,7 +162,6 @@ def see_from_base(
         return None
     numbers = np.array([*few[:2], 1.0, *few[2:6], *seen[:5]])
     tip = TipView.of_own(numbers[7:10], numbers[10:], seen[5], points, seen[6], seen[7])
-    notes = gap_notes(gap for gap in gaps.tolist() if gap > 1.0)
     return View.of_own(
-        name, edges, unit, rays, centreline, numbers[:3], tip, numbers[3:5], numbers[5:7], few[6], REASONS[why], notes
+        name, edges, unit, rays, centreline, numbers[:3], tip, numbers[3:5], numbers[5:7], few[6], REASONS[why], ()
     )

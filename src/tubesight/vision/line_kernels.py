@@ -31,9 +31,7 @@ class Picture(NamedTuple):
 
 
 @part
-def find_pixels(
-    last: Numbers, origin: Numbers, way: Numbers, bend: float, low: float, step: float, at: Array
-) -> None:
+def find_pixels(last: Numbers, origin: Numbers, way: Numbers, bend: float, low: float, step: float, at: Array) -> None:
     """Pixels before the samples of a line: columns, rows and weights of the next ones, in the last rows of `at`.
 
     The line bends to the left by so much per pixel; `last` are the last places in the picture. Outside the weights are

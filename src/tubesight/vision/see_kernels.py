@@ -1,6 +1,6 @@
 """Compiled twin of `see` for the common case: a known start, and every stage succeeds at its first attempt.
 
-Whatever else happens (`DOUBTFUL`) is left to the stages one by one, which know what to try next and what to say.
+Whatever else happens (`DOUBTFUL`), a gap that is told of or a tip that might be a corner, is left to the stages one by one, which know what to try next and what to say.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import numpy as np
 
 from tubesight.core import Array, Image
 from tubesight.core.kernels import part
-from tubesight.vision import locate, see, tip
+from tubesight.vision import locate, see, tip, walker
 from tubesight.vision.colour_kernels import learn, numbers_of, segmenter
 from tubesight.vision.ending import FOUND
 from tubesight.vision.kernels import find_end, walk
@@ -22,9 +22,9 @@ from tubesight.vision.tip_kernels import Found, ball, face, round_end
 ROUND, FLAT, BALL = 0, 1, 2
 # In place of the number of a reason (`silhouette.REASONS`).
 DOUBTFUL = -1
-# That number; edges, their rays, rays, centreline, gaps and contour; base (2), roughness (2), doubts (2), blur; axis
+# That number; edges, their rays, rays, centreline and contour; base (2), roughness (2), doubts (2), blur; axis
 # (3), pixel (2), angle, rms and doubt of the tip.
-Seen = tuple[int, Array, Array, Array, Array, Array, Array, Numbers, Numbers]
+Seen = tuple[int, Array, Array, Array, Array, Array, Numbers, Numbers]
 Tip = tuple[bool, Array, Numbers]
 
 
@@ -34,7 +34,7 @@ def doubtful() -> Seen:
     flat, nan = np.empty((0, 2)), np.nan
     scans, rays = np.empty((0, 2, 2)), np.empty((0, 2, 3))
     few, many = (nan, nan, nan, nan, nan, nan, nan), (nan, nan, nan, nan, nan, nan, nan, nan)
-    return DOUBTFUL, scans, rays, np.empty((0, 3)), flat, np.empty(0), flat, few, many
+    return DOUBTFUL, scans, rays, np.empty((0, 3)), flat, flat, few, many
 
 
 @part
@@ -93,7 +93,7 @@ def see_from_base(
         return doubtful()
     picture = Picture(image, behind, numbers_of(colours, channels))
     middles, widths, gaps = walk(picture, start, way, width, True)
-    if len(middles) < see.PLACES_MIN:
+    if len(middles) < see.PLACES_MIN or (len(gaps) > 0 and gaps.max() > walker.GAP_TOLD):
         return doubtful()
     edges, blur, left, right = measure(picture, middles, widths)
     outcome, place, heading, size = find_end(picture, middles, widths, locate.REACH_WIDTHS + locate.REACH_BALLS * ratio)
@@ -103,7 +103,7 @@ def see_from_base(
     if not sure:
         return doubtful()
     fits, points, seen = tip_of(optics, focal, shape, contour)
-    if not fits:
+    if not (fits and seen[6] < see.SURE_TIP_PX and len(points) >= see.SURE_CONTOUR):
         return doubtful()
     room = see.ROOM_PX
     if shape == BALL:
@@ -117,4 +117,4 @@ def see_from_base(
     if len(edges) < see.SCANS_MIN:
         return doubtful()
     few = base[0], base[1], rough[0], rough[1], left, right, blur
-    return why, edges, unit, rays, centreline, gaps, points, few, seen
+    return why, edges, unit, rays, centreline, points, few, seen

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -23,7 +22,7 @@ def _of_own(cls: type[T], values: tuple[Any, ...]) -> T:
     return made
 
 
-def gap_notes(gaps: Iterable[float]) -> tuple[str, ...]:
+def gap_notes(gaps: tuple[float, ...]) -> tuple[str, ...]:
     """Cautions about the gaps that were bridged (widths)."""
     return tuple(f"bridged a gap of {gap:.1f} widths" for gap in gaps)
 

@@ -26,6 +26,8 @@ STEP_WIDTHS = 0.75
 STEP_MIN_PX, STEP_MAX_PX = 4.0, 32.0
 # A gap (something across the tube, a highlight) is coasted over for this many widths.
 GAP_WIDTHS, GAP_MIN_PX = 2.5, 30.0
+# It is told of where it is longer than this (widths).
+GAP_TOLD = 1.0
 MAX_STEPS = 2000
 # The way is a parabola through this many last places (a line through fewer than five), older ones weighing less: by
 # this share of their number each step counts 1 / e.
@@ -104,7 +106,7 @@ def walk(signal: Signal, start_px: Array, direction: Array, width_px: float) -> 
             if waiting > max(GAP_WIDTHS * width, GAP_MIN_PX):
                 break
         place += stride
-    return Track(np.array(middles).reshape(-1, 2), np.array(widths), tuple(g for g in gaps if g > 1.0))
+    return Track(np.array(middles).reshape(-1, 2), np.array(widths), tuple(g for g in gaps if g > GAP_TOLD))
 
 
 def _predict(
