@@ -28,9 +28,10 @@ pytest.importorskip("viser")
 
 from browser import open_page
 from tubesight.apps.viewer.cameras import clicked_px, plane_corners
+from tubesight.apps.viewer.controls import Controls
 from tubesight.apps.viewer.panel import _badge, _numbers
 from tubesight.apps.viewer.scene import ALONG, AROUND, MM, tube_mesh
-from tubesight.apps.viewer.viewer import Controls, Viewer
+from tubesight.apps.viewer.viewer import Viewer
 
 RIG = rig_around(90.0, size_px=(1280, 720))
 
@@ -141,7 +142,7 @@ def test_page_shows_the_shape_without_network(simulated_pair: Callable[..., Simu
         marked.append((what, camera, px))
         done.set()
 
-    controls = Controls(("silhouette",), lambda _: None, lambda _: None, ("base", "tip"), mark)
+    controls = Controls(("silhouette",), lambda _: None, ("base", "tip"), mark)
     with Viewer(seen.rig, seen.tube, 0, controls) as viewer:
         look_along(viewer, seen.rig)
         viewer.publish(measured(40, "<script>window.broken = 1</script>"), seen.pair, 0.0, "30 a second")
@@ -149,7 +150,7 @@ def test_page_shows_the_shape_without_network(simulated_pair: Callable[..., Simu
             assert page.until("document.body.innerText.includes('tip x')"), "the panel is there"
             assert page.until("document.querySelector('canvas') && document.querySelector('img')"), "both drawn"
             page.wait(2.0)
-            viewer._mark = "tip"
+            viewer.controls._mark = "tip"
             page.screenshot(tmp_path / "page.png")
             page.click(*middle_of_canvas(page))
             done.wait(20)

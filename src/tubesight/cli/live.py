@@ -119,13 +119,15 @@ def _run(options: LiveOptions, publishing: PublishOptions, stats: bool, json: bo
     from tubesight.apps.live.options import set_up
     from tubesight.apps.live.publishing import open_subscribers
     from tubesight.apps.live.session import run_session
+    from tubesight.apps.live.steering import steering_of
     from tubesight.cli.console import remark
 
     setup = set_up(options)
-    subscribers, addresses = open_subscribers(publishing, setup)
+    steering = steering_of(options, setup)
+    subscribers, addresses = open_subscribers(publishing, steering)
     remark([*setup.messages, *addresses])
     with screen(stats, json) as tell:
-        figures = run_session(options, setup, tell, subscribers)
+        figures = run_session(options, setup, tell, subscribers, steering=steering)
     report(figures, json, [figures.line()])
     raise typer.Exit(0 if figures.ok else 1)
 

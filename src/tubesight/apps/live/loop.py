@@ -16,6 +16,7 @@ from typing import Any
 from tubesight.apps.live.options import LiveOptions, Setup
 from tubesight.apps.live.rig_watch import RigWatch
 from tubesight.apps.live.stats import Figures, Stats
+from tubesight.apps.switch import SensorSwitch
 from tubesight.core import InputError
 from tubesight.outputs.publish import Subscriber
 from tubesight.sensor import ShapeSensor
@@ -55,6 +56,7 @@ class Moment:
 def run_live(
     options: LiveOptions,
     setup: Setup,
+    switch: SensorSwitch,
     subscribers: Sequence[Subscriber] = (),
     tell: Callable[[Moment], None] = lambda moment: None,
     recorded: Callable[[], Mapping[str, Any]] = dict,
@@ -64,6 +66,8 @@ def run_live(
 
     Parameters
     ----------
+    switch
+        What measures; a new sensor is taken from it between two pairs.
     subscribers
         Where results go; not closed here.
     tell
@@ -78,9 +82,8 @@ def run_live(
     InputError
         If a camera gives no first picture.
     """
-    sensor = setup.sensor()
     if measuring:
-        warm_up(sensor)
+        warm_up(switch.current)
     rule = PairingRule(tuple(setup.sources), options.tolerance_s, options.offset_s)
     tracker, stats, watch = Tracker(options.filtered), Stats(), RigWatch(setup.rig, setup.tube.clamped)
     with quiet_collector() as collect, _stop_signals() as stopped, LiveCameras(setup.sources, rule) as cameras:
@@ -89,7 +92,7 @@ def run_live(
             return stats.figures(cameras.counts(), recorded())
 
         with suppress(KeyboardInterrupt):
-            for tracked in _results(options, cameras, tracker, watch, sensor if measuring else None, stopped):
+            for tracked in _results(options, cameras, tracker, watch, switch if measuring else None, stopped):
                 stats.add(tracked)
                 for subscriber in subscribers:
                     subscriber.publish(tracked)
@@ -104,7 +107,7 @@ def _results(
     cameras: LiveCameras,
     tracker: Tracker,
     watch: RigWatch,
-    measure: ShapeSensor | None,
+    switch: SensorSwitch | None,
     stopped: Callable[[], bool],
 ) -> Iterator[Tracked]:
     """Measure pairs as they come, and say when cameras fail and return."""
@@ -129,10 +132,12 @@ def _results(
             last_faults = faults
         if pair is None or faults:
             continue
-        if measure is None:
+        if switch is None:
             yield Tracked(None, tracker.state, pair.time_s, pair.skew_s, pair=pair)
             continue
-        tracked = tracker.step(measure(pair.pair(str(index))), pair)
+        if switch.adopt():
+            watch.begin_anew(switch.current.tube.clamped)
+        tracked = tracker.step(switch.current(pair.pair(str(index))), pair)
         latency = time.monotonic() - pair.time_s
         moved = watch.add(tracked.result, pair.time_s) if tracked.result is not None else ""
         yield replace(tracked, latency_s=latency, late=latency > options.deadline_s, moved=moved)

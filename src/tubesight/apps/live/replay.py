@@ -14,7 +14,7 @@ import numpy as np
 
 from tubesight.core import Array, Frame, Image, InputError
 from tubesight.files.images import decode_image
-from tubesight.files.recording import RecordedPicture, RecordedResult, Recording
+from tubesight.files.recording import RecordedPicture, RecordedResult, RecordedSwitch, Recording
 from tubesight.files.rig import rig_from_text
 from tubesight.files.tables import SD_COLUMNS, ShapeRow
 from tubesight.files.tube import tube_from_text
@@ -99,7 +99,7 @@ def sensor_of(recording: Recording) -> ShapeSensor:
     try:
         rig = rig_from_text(str(about["rig"]), path).rig
         tube = tube_from_text(str(about["tube"]), path)
-        base: dict[str, Array] = {name: np.array(px, float).reshape(2) for name, px in about["base_px"].items()}
+        base = _marks(about)
         backgrounds: dict[str, Image] = {
             name: decode_image(base64.b64decode(data, validate=True), path, rig.cameras[name].size_px)
             for name, data in about["backgrounds"].items()
@@ -112,6 +112,22 @@ def sensor_of(recording: Recording) -> ShapeSensor:
     if method not in METHODS:
         raise InputError(f"{path}: was measured with the method {method[:40]!r}, which is not installed")
     return ShapeSensor(rig, tube, method, backgrounds, base)
+
+
+def _marks(about: Mapping[str, Any]) -> dict[str, Array]:
+    return {name: np.array(px, float).reshape(2) for name, px in about["base_px"].items()}
+
+
+def switched(sensor: ShapeSensor, before: Mapping[str, Any], entry: RecordedSwitch, path: Path) -> ShapeSensor:
+    """Change a sensor as it was changed during a recording; a method other than the recorded one stays."""
+    now = entry.configuration
+    try:
+        method = str(now["method"]) if sensor.method == before["method"] else sensor.method
+        return replace(sensor, method=method, base_px=_marks(now))
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(
+            f"{path}: a change of its configuration is damaged ({error}); run `tubesight recover`"
+        ) from error
 
 
 def replay(
@@ -162,7 +178,8 @@ def moments(
     recording: Recording, sensor: ShapeSensor, tracker: Tracker
 ) -> Iterator[tuple[Tracked | None, Mapping[str, Any]]]:
     """Go through a recording: what is measured now (None without pictures) and what was written then."""
-    gray = bool(recording.configuration.get("gray"))
+    about: Mapping[str, Any] = recording.configuration
+    gray = bool(about.get("gray"))
     waiting: dict[str, dict[int, RecordedPicture]] = {name: {} for name in sensor.rig.names}
     index = 0
     for entry in recording.entries():
@@ -171,6 +188,9 @@ def moments(
             own[entry.number] = entry
             while len(own) > _WAITING:
                 own.pop(next(iter(own)))
+            continue
+        if isinstance(entry, RecordedSwitch):
+            sensor, about = switched(sensor, about, entry, recording.path), entry.configuration
             continue
         numbers = entry.data.get("pictures")
         if numbers is None:

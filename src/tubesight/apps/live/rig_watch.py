@@ -35,6 +35,10 @@ class RigWatch:
         self._tips: deque[tuple[float, dict[str, Array]]] = deque(maxlen=_MOMENTS)
         self.blind: tuple[str, ...] | None = None
 
+    def begin_anew(self, clamped: bool) -> None:
+        """Forget the residuals: another method's, or those from a base marked by hand, are others on the same rig."""
+        self._health, self._clamped, self.blind = Health(), clamped, None
+
     def add(self, result: Reconstruction, time_s: float) -> str:
         """Take a pair into account; which camera moved, in a sentence, or nothing."""
         self._health = observe(self._health, result, self._rig, self._clamped)
