@@ -29,7 +29,7 @@ pytest.importorskip("viser")
 from browser import open_page
 from tubesight.apps.viewer.cameras import clicked_px, plane_corners
 from tubesight.apps.viewer.controls import Controls
-from tubesight.apps.viewer.panel import _badge, _numbers
+from tubesight.apps.viewer.panel import _numbers, badge
 from tubesight.apps.viewer.scene import ALONG, AROUND, MM, tube_mesh
 from tubesight.apps.viewer.viewer import Viewer
 
@@ -76,7 +76,7 @@ def test_a_click_on_a_picture_is_its_pixel(u: float, v: float, depth: float, off
 
 def test_names_cannot_become_markup() -> None:
     nasty = "<script>alert(1)</script>"
-    assert "<script>" not in _badge(nasty, nasty, False)
+    assert "<script>" not in badge(nasty, nasty, False)
     assert "<script>" not in _numbers(measured(30, nasty), nasty)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from tubesight.apps.viewer.boards import BoardFolder
     from tubesight.apps.viewer.play import Player
 
 
@@ -30,6 +31,10 @@ def command(
     background: Annotated[
         Path | None, typer.Option("--background", help="Pictures without the tube, one subfolder per camera.")
     ] = None,
+    board: Annotated[
+        Path | None,
+        typer.Option("--board", help="The folder is a calibration: show where this board, `board.yaml`, was seen."),
+    ] = None,
     port: Annotated[int, typer.Option("--port", help="Port of the page on this machine; 0 takes any free one.")] = 8080,
     pairs: Annotated[int | None, typer.Option("--pairs", help="Stop after so many pairs.", min=1)] = None,
 ) -> None:
@@ -41,6 +46,8 @@ def command(
         tubesight view photos --rig rig.yaml --tube tube.yaml
 
         tubesight view session.mcap
+
+        tubesight view calibration --board board.yaml
     """
     from tubesight.files.packages import require_package
 
@@ -49,7 +56,13 @@ def command(
 
     if method is not None:
         refuse_unknown(method)
-    player = _player(what, rig, tube, method, background, port)
+    if board is not None:
+        given = {"--rig": rig, "--tube": tube, "--background": background, "--method": method}
+        player: Player | BoardFolder = _boards(
+            what, board, {name for name, value in given.items() if value is not None}, port
+        )
+    else:
+        player = _player(what, rig, tube, method, background, port)
     try:
         player.run(pairs)
     except KeyboardInterrupt:
@@ -75,3 +88,14 @@ def _player(
     if rig is None:
         raise typer.BadParameter("a folder of pictures needs --rig rig.yaml", param_hint="--rig")
     return view_folder(RunOptions(what, rig, what, tube, method or DEFAULT_METHOD, background), port, tell)
+
+
+def _boards(folder: Path, board: Path, given: set[str], port: int) -> BoardFolder:
+    from tubesight.apps.viewer.boards import BoardFolder
+    from tubesight.cli.console import remark
+
+    if given:
+        raise typer.BadParameter("a board is looked for without it; leave it or --board out", param_hint=min(given))
+    boards = BoardFolder(folder, board, port)
+    remark([f"open {boards.page.address} in a browser on this machine; Ctrl-C ends"])
+    return boards

@@ -38,7 +38,7 @@ class Panel:
         self._gui = server.gui
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         server.gui.main_panel.dock_right()
-        self._state = server.gui.add_html(_badge("waiting", "no result yet", False), order=_STATE)
+        self._state = server.gui.add_html(badge("waiting", "no result yet", False), order=_STATE)
         self._numbers = server.gui.add_html("", order=_NUMBERS)
         self._folder = server.gui.add_folder("pictures", order=_PICTURES)
         self._picture: viser.GuiImageHandle | None = None
@@ -66,7 +66,7 @@ class Panel:
         remarks
             Rates, latency and the like, for one line below the state.
         """
-        self._state.content = _badge(str(result.status), "; ".join(result.notes) or result.status.advice, bool(result))
+        self._state.content = badge(str(result.status), "; ".join(result.notes) or result.status.advice, bool(result))
         self._numbers.content = _numbers(result, remarks)
         self._times.append(time_s)
         self._values.append(_values(result))
@@ -99,7 +99,8 @@ def _values(result: Reconstruction) -> tuple[float, ...]:
     return (*s.tip_mm.tolist(), math.degrees(s.bending_rad), math.degrees(s.orientation_rad), s.length_mm)
 
 
-def _badge(word: str, text: str, good: bool) -> str:
+def badge(word: str, text: str, good: bool) -> str:
+    """HTML of a word on green or red, and a sentence."""
     colour = _GOOD if good else _BAD
     return (
         f'<div style="margin:0.4em 0.8em"><span style="background:{colour};color:white;border-radius:0.4em;'
