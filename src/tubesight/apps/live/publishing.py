@@ -102,6 +102,8 @@ class NetworkSubscriber:
     ----------
     messages
         Where clients connect, and warnings.
+    addresses
+        Of each output: ``igtl://...``, ``ws://...``, ``udp://...``.
     """
 
     def __init__(self, options: PublishOptions) -> None:
@@ -132,7 +134,8 @@ class NetworkSubscriber:
                 self.messages.append(f"warning: datagrams leave this machine for {options.udp.host}, not encrypted")
         self._hub = Hub(senders)
         self._hub.__enter__()
-        self.messages += [f"results: {sender.address}" for sender in senders]
+        self.addresses = [sender.address for sender in senders]
+        self.messages += [f"results: {address}" for address in self.addresses]
 
     def publish(self, tracked: Tracked) -> None:
         """Hand a result over; returns at once."""

@@ -26,6 +26,11 @@ class ViewerSubscriber:
         self._viewer.__enter__()
         self.address = self._viewer.address
 
+    @property
+    def windows(self) -> int:
+        """Browser windows that show it now."""
+        return len(self._viewer.server.get_clients())
+
     def publish(self, tracked: Tracked) -> None:
         """Hand a result over; returns at once."""
         remarks = [str(tracked.state), *tracked.notes]
