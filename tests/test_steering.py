@@ -145,6 +145,7 @@ def test_the_page_says_what_is_recorded_and_what_went_wrong(tmp_path: Path) -> N
         folder._name.value = "<b>.mcap"
         folder._pressed()
         assert recording.running and folder._button.label == "stop recording" and folder._name.disabled
+        assert folder._name.value == "<b>.mcap"
         assert "&lt;b&gt;.mcap" in folder._said.content
         folder._pressed()
         assert not recording.running and "recorded: " in folder._said.content and not folder._name.disabled

@@ -61,8 +61,12 @@ class SessionRecording:
         recorder = self._recorder
         return recorder is not None and "stopped" not in recorder.state()
 
-    def suggested(self) -> str:
-        """Return a name for a new file: the time in UTC."""
+    @property
+    def name(self) -> str:
+        """Name of the file that is written, or of a new one: the time in UTC."""
+        record = self._record
+        if record is not None and self.running:
+            return record.path.name
         return f"tubesight-{datetime.now(UTC):%Y%m%d-%H%M%S}.mcap"
 
     def start_named(self, name: str, pictures: PictureMode) -> None:
@@ -71,7 +75,7 @@ class SessionRecording:
         Whoever reaches the viewer gives the name, so it names no folder.
         """
         if not name.isprintable() or not name.strip() or name.startswith(".") or "/" in name or "\\" in name:
-            raise InputError(f"{name[:60]!r}: expected a file name without a folder, for example {self.suggested()}")
+            raise InputError(f"{name[:60]!r}: expected a file name without a folder, for example {self.name}")
         path = self._folder / (name if name.endswith(".mcap") else f"{name}.mcap")
         self.start(RecordOptions(path, pictures, self._every))
 

@@ -33,8 +33,9 @@ class Recordable(Protocol):
     def running(self) -> bool:
         """Whether one runs."""
 
-    def suggested(self) -> str:
-        """Return a name for a new file."""
+    @property
+    def name(self) -> str:
+        """Name of the file that is written, or a new one."""
 
     def start_named(self, name: str, pictures: PictureMode) -> None:
         """Begin one; raise `InputError` where that cannot be."""
@@ -122,7 +123,7 @@ class RecordingFolder:
     def __init__(self, gui: viser.GuiApi, recording: Recordable, order: float) -> None:
         self._recording, self._failure = recording, ""
         with gui.add_folder("recording", order=order):
-            self._name = gui.add_text("file", recording.suggested(), hint=f"in {recording.folder}")
+            self._name = gui.add_text("file", recording.name, hint=f"in {recording.folder}")
             modes: tuple[str, ...] = get_args(PictureMode)
             self._pictures = gui.add_dropdown("pictures", modes, initial_value=recording.pictures)
             self._button = gui.add_button(_START)
@@ -136,7 +137,6 @@ class RecordingFolder:
         try:
             if recording.running:
                 recording.stop()
-                self._name.value = recording.suggested()  # type: ignore[misc]
             else:
                 recording.start_named(str(self._name.value), cast("PictureMode", self._pictures.value))
         except InputError as error:
@@ -153,6 +153,7 @@ class RecordingFolder:
         if self._button.label != label:
             self._button.label, self._button.color = label, "red" if running else None
             self._name.disabled = self._pictures.disabled = running
+            self._name.value = self._recording.name  # type: ignore[misc]
         if self._said.content != content:
             self._said.content = content
 
