@@ -256,6 +256,10 @@ def test_view_takes_recordings(recorded: Path, tmp_path: Path, capsys: pytest.Ca
     assert "open http://127.0.0.1:" in capsys.readouterr().err
     assert leave(["view", str(recorded), *shown, "--rig", "rig.yaml"]) == 2
     assert leave(["view", str(tmp_path), *shown]) == 2
+    capsys.readouterr()
+    assert leave(["view", str(tmp_path / "missing.mcap"), *shown]) == 1
+    assert leave(["view", str(tmp_path / "missing"), *shown, "--rig", str(tmp_path / "rig.yaml")]) == 1
+    assert capsys.readouterr().err.count("error: ") == 2
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(recorded.read_bytes()[:-50_000])
     capsys.readouterr()

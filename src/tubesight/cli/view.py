@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -57,10 +58,8 @@ def command(
     if method is not None:
         refuse_unknown(method)
     if board is not None:
-        given = {"--rig": rig, "--tube": tube, "--background": background, "--method": method}
-        player: Player | BoardFolder = _boards(
-            what, board, {name for name, value in given.items() if value is not None}, port
-        )
+        _refuse({"--rig": rig, "--tube": tube, "--background": background, "--method": method}, "--board needs none")
+        player: Player | BoardFolder = _boards(what, board, port)
     else:
         player = _player(what, rig, tube, method, background, port)
     try:
@@ -80,22 +79,25 @@ def _player(
     def tell(line: str) -> None:
         remark([line])
 
-    if not what.is_dir():
-        given = {"--rig": rig, "--tube": tube, "--background": background}
-        for option in (name for name, value in given.items() if value is not None):
-            raise typer.BadParameter(f"{what} is no folder, and a recording holds its own", param_hint=option)
+    if what.is_file() or what.suffix.lower() == ".mcap":
+        _refuse({"--rig": rig, "--tube": tube, "--background": background}, "a recording holds its own")
         return view_recording(what, method, port, tell)
     if rig is None:
         raise typer.BadParameter("a folder of pictures needs --rig rig.yaml", param_hint="--rig")
     return view_folder(RunOptions(what, rig, what, tube, method or DEFAULT_METHOD, background), port, tell)
 
 
-def _boards(folder: Path, board: Path, given: set[str], port: int) -> BoardFolder:
+def _boards(folder: Path, board: Path, port: int) -> BoardFolder:
     from tubesight.apps.viewer.boards import BoardFolder
     from tubesight.cli.console import remark
 
-    if given:
-        raise typer.BadParameter("a board is looked for without it; leave it or --board out", param_hint=min(given))
     boards = BoardFolder(folder, board, port)
     remark([f"open {boards.page.address} in a browser on this machine; Ctrl-C ends"])
     return boards
+
+
+def _refuse(given: Mapping[str, object], why: str) -> None:
+    """Refuse options that mean nothing here."""
+    unused = [option for option, value in given.items() if value is not None]
+    if unused:
+        raise typer.BadParameter(why, param_hint=unused[0])
