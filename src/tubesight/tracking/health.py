@@ -23,7 +23,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from tubesight.core import Array
+from tubesight.core import Array, Status
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
@@ -104,7 +104,9 @@ class Health:
 
 
 def observe(health: Health, result: Reconstruction, rig: Rig, clamped: bool) -> Health:
-    """Take the views of one pair into account, whether they gave a shape or not."""
+    """Take the views of one pair into account, whether they gave a shape or not, unless of another device."""
+    if result.status is Status.OTHER_DEVICE:
+        return health
     side = dict(health.side_px)
     if clamped:
         for name, view in result.views.items():

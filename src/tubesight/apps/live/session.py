@@ -63,6 +63,7 @@ def configuration(options: LiveOptions, setup: Setup) -> dict[str, Any]:
         "tube": tube_text(setup.tube),
         "method": setup.method,
         "base_px": plain(setup.base_px),
+        "tip_px": plain(setup.tip_px),
         "backgrounds": {
             name: base64.b64encode(cv2.imencode(".png", image)[1].tobytes()).decode()
             for name, image in setup.backgrounds.items()
