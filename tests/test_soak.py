@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from tubesight.apps.live.fault_trial import KINDS, Outcome, fault_trial, summed
 from tubesight.apps.live.soak import growth
 from tubesight.apps.live.stats import Stats
 from tubesight.cli.main import main
@@ -24,6 +25,21 @@ def test_soak_reports_pairing_alarms_and_memory(capsys: pytest.CaptureFixture[st
     assert not left.value.code
     assert figures["pairing"]["mixed"] == 0 and figures["pairing"]["pairs"] > 1000
     assert figures["figures"]["pairs"] > 5 and figures["false_alarms"] == 0
+
+
+def test_recordings_of_sessions_that_are_killed_or_fill_their_disk_are_readable() -> None:
+    for kind in KINDS:
+        trial = fault_trial(kind, 3)
+        assert trial.good and trial.sessions == 3 and not trial.problems, trial
+        assert 0 < trial.mean_lost_s <= trial.worst_lost_s
+
+
+def test_what_goes_wrong_in_a_trial_is_counted_and_told() -> None:
+    trial = summed("disk_full", [Outcome(0.2, True), Outcome(math.nan, True, "no file"), Outcome(0.4, False, "ended")])
+    assert (trial.unreadable, trial.stopped, trial.worst_lost_s) == (1, 1, 0.4) and not trial.good
+    assert trial.mean_lost_s == pytest.approx(0.3) and trial.problems == ("no file", "ended")
+    assert not summed("killed", [Outcome(1.2, True)]).good and summed("killed", [Outcome(0.9, True)]).good
+    assert "3 sessions with a full disk, 2 went on measuring: 2 recordings readable" in trial.line()
 
 
 def looks(seconds: float, mb: Callable[[np.ndarray], np.ndarray]) -> list[tuple[float, float]]:

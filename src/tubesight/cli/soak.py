@@ -21,11 +21,16 @@ def command(
     record: Annotated[Path | None, typer.Option("--record", help="Record the live session into this file.")] = None,
     pictures: PicturesOption = "none",
     every: EveryOption = 1,
+    faults: Annotated[
+        int, typer.Option("--faults", min=0, help="Kill so many recording sessions, and fill the disk of as many.")
+    ] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone.")] = False,
 ) -> None:
     """Show what has to hold for hours: pairing, false alarms of the watch over the rig, memory, rates and latency.
 
     tubesight soak --seconds 3600 --hz 200 --size 1920x1080
+
+    tubesight soak --seconds 10 --faults 100
     """
     from tubesight.apps.live.options import RecordOptions
     from tubesight.apps.live.soak import soak
@@ -35,7 +40,7 @@ def command(
 
     sources = dict.fromkeys(("left", "right"), f"sim:{hz:g}")
     recording = RecordOptions(record, pictures_of(pictures), every) if record is not None else None
-    done = soak(sources, seconds, instants, hours, size_of(size), recording)
+    done = soak(sources, seconds, instants, hours, size_of(size), recording, faults=faults)
     if json:
         typer.echo(to_json(done.as_dict()))
     else:
@@ -48,8 +53,10 @@ def command(
             f"live: memory {done.memory.mb_per_hour:+.1f} +- {done.memory.sd_mb_per_hour:.1f} MB per hour over "
             f"{done.memory.seconds:.0f} s after {done.memory.warm_up_s:.0f} s of warm-up, "
             f"{done.cpu_ms_per_pair:.1f} ms of CPU per pair",
+            *(line for trial in done.faults for line in (trial.line(), *trial.problems)),
             *refusals(figures),
             *recorded(figures),
         ):
             stdout().print(line, soft_wrap=True)
-    raise typer.Exit(0 if done.pairing.mixed == 0 and done.figures.ok else 1)
+    good = done.pairing.mixed == 0 and done.figures.ok and all(trial.good for trial in done.faults)
+    raise typer.Exit(0 if good else 1)

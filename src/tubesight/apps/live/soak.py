@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tubesight.apps.live.fault_trial import KINDS, FaultTrial, fault_trial
 from tubesight.apps.live.loop import Moment
 from tubesight.apps.live.options import LiveOptions, RecordOptions, set_up
 from tubesight.apps.live.pairing_trial import PairingTrial, run_trial
@@ -69,6 +70,8 @@ class Soak:
         How its resident memory grows.
     cpu_ms_per_pair
         Time of all its threads, with decoding and recording.
+    faults
+        Of sessions that were killed, and of those whose disk was full; empty where none were asked for.
     """
 
     pairing: PairingTrial
@@ -77,6 +80,7 @@ class Soak:
     figures: Figures
     memory: Growth
     cpu_ms_per_pair: float
+    faults: tuple[FaultTrial, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for ``--json``."""
@@ -91,6 +95,7 @@ def soak(
     size_px: tuple[int, int] | None = None,
     record: RecordOptions | None = None,
     tell: Callable[[Moment], None] = lambda moment: None,
+    faults: int = 0,
 ) -> Soak:
     """Run all parts, one after the other.
 
@@ -106,7 +111,10 @@ def soak(
         Simulated, of a rig at rest.
     record
         What the live session records.
+    faults
+        Recording sessions that are killed, and as many whose disk is full.
     """
+    trials = tuple(fault_trial(kind, faults) for kind in KINDS if faults)
     pairing = run_trial(instants)
     alarms = false_alarms(hours)
     options = LiveOptions(sources, size_px=size_px, gray=True, seconds=seconds, record=record)
@@ -123,7 +131,7 @@ def soak(
     figures = run_session(options, setup, watch)
     cpu_s = time.process_time() - before
     per_pair = 1e3 * cpu_s / figures.pairs if figures.pairs else math.nan
-    return Soak(pairing, alarms, hours, figures, growth(memory), per_pair)
+    return Soak(pairing, alarms, hours, figures, growth(memory), per_pair, trials)
 
 
 def false_alarms(hours: float, seed: int = 0) -> int:
