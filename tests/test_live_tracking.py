@@ -220,6 +220,19 @@ def test_the_watch_over_the_rig_says_what_it_cannot_see(seen: tuple[list[object]
     assert any(spot.startswith("left: a turn about its z axis") for spot in free)
 
 
+def test_a_shift_along_the_optical_axis_that_the_tip_does_not_show_is_told() -> None:
+    rig = rig_around(90.0, size_px=(1280, 720))
+    # Bent so far that the tip is as high in the pictures as the cameras are.
+    high, low = (Bent(theta, 5.0, 150.0).at(150.0) for theta in (1.3, 0.6))
+    said = blind_spots(rig, high, clamped=True)
+    assert [spot.partition(" below")[0] for spot in said] == [
+        "left: a shift along its z axis", "right: a shift along its z axis"
+    ]  # fmt: skip
+    assert blind_spots(rig, low, clamped=True) == ()
+    # Told also where the tip was there a part of the time alone.
+    assert blind_spots(rig, np.stack([low, high]), clamped=True) == said
+
+
 def test_a_rig_that_was_off_at_the_start_is_told() -> None:
     health = Health(side_px={"left": replace(Mean(), value=3.0, reference=3.0, count=200)})
     assert "not as calibrated" in verdict(health, rig_around(90.0))
