@@ -50,9 +50,7 @@ def command(
             f"drops, jitter and delays {trial.refused} were refused",
             f"watch over the rig: {done.false_alarms} false alarms in {done.hours:g} simulated hours",
             f"live: {figures.line()}",
-            f"live: memory {done.memory.mb_per_hour:+.1f} +- {done.memory.sd_mb_per_hour:.1f} MB per hour over "
-            f"{done.memory.seconds:.0f} s after {done.memory.warm_up_s:.0f} s of warm-up, "
-            f"{done.cpu_ms_per_pair:.1f} ms of CPU per pair",
+            f"live: {done.memory.words()}; {done.cpu_ms_per_pair:.1f} ms of CPU per pair",
             *(line for trial in done.faults for line in (trial.line(), *trial.problems)),
             *refusals(figures),
             *recorded(figures),

@@ -18,12 +18,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import combinations
 from typing import TypeVar
 
 import numpy as np
 
 from tubesight.core import Array, Status
+from tubesight.geometry.camera import Camera
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
@@ -142,15 +144,22 @@ def base_px(view: View, curve: Curve3D, rig: Rig) -> float:
 
 def side_px(view: View, rig: Rig) -> float:
     """Signed distance of the centreline from the projected origin of the clamp, across the clamp's axis, px."""
-    name = view.camera
-    base, ahead = rig.project(name, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
-    along = (ahead - base) / np.linalg.norm(ahead - base)
+    base, along = _clamp(rig.cameras[view.camera], rig.camera_from_base[view.camera])
     count = max(int(len(view.centreline_px) * _PARABOLA), _SCANS_MIN)
     off = view.centreline_px[:count] - base
     if len(off) < _SCANS_MIN or not np.isfinite(off).all():
         return math.nan
     across = off @ np.array([-along[1], along[0]])
-    return float(np.polynomial.Polynomial.fit(off @ along, across, 2)(0.0))
+    # In units of the part's length: the parabola's value at zero is its first coefficient.
+    powers = np.vander(off @ along / max(float(np.ptp(off @ along)), 1.0), 3, increasing=True)
+    return float(np.linalg.lstsq(powers, across, rcond=None)[0][0])
+
+
+@lru_cache(maxsize=64)
+def _clamp(camera: Camera, camera_from_base: Pose) -> tuple[Array, Array]:
+    """Where the clamp is in a picture, (2,) px, and the unit way (2,) of its axis."""
+    base, ahead = camera.project(camera_from_base.apply(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])))
+    return base, (ahead - base) / np.linalg.norm(ahead - base)
 
 
 def epipolar_px(rig: Rig, a: str, b: str, ray_a: Array, ray_b: Array) -> float:
@@ -263,8 +272,7 @@ def _shown(rig: Rig, moved: Rig, name: str, tip_mm: Array, clamped: bool) -> flo
     """Largest change of a residual over its limit when the camera moves but the rig does not know."""
     shown = 0.0
     if clamped:
-        base, ahead = rig.project(name, np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
-        along = (ahead - base) / np.linalg.norm(ahead - base)
+        base, along = _clamp(rig.cameras[name], rig.camera_from_base[name])
         off = moved.project(name, np.zeros(3)) - base
         shown = abs(float(off @ np.array([-along[1], along[0]]))) * max(_LEFT_BY_FIT / _BASE_PX, 1 / _SIDE_PX)
     for other in rig.names:

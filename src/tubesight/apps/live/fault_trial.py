@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, Literal, get_args
 
@@ -35,8 +35,9 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 _SIZE, _HZ = (320, 180), 30.0
 # A session is killed so long after its first pair: through several of the recorder's intervals of 0.3 s.
 _KILL_S = (0.05, 1.5)
-# A disk takes so much: from little more than the beginning of a recording to most of a session of so many seconds.
-_ROOM_BYTES, _SESSION_S = (20_000, 1_000_000), 1.2
+# A disk takes so much: from little more than the beginning of a recording to half a second of it. So many pairs have to
+# be measured after it was full.
+_ROOM_BYTES, _AFTER = (20_000, 1_000_000), 10
 # A session that says nothing for so long hangs.
 _HANGS_S = 60.0
 # What a crash may lose.
@@ -146,8 +147,7 @@ def nursery(kind: Kind, sessions: int, seed: int) -> None:
         run_session(first, setup)
         for k in range(sessions):
             path = Path(folder) / f"{k}.mcap"
-            seconds = _HANGS_S if kind == "killed" else _SESSION_S
-            options = LiveOptions(sources, size_px=_SIZE, gray=True, seconds=seconds, record=RecordOptions(path))
+            options = replace(first, seconds=_HANGS_S / 2, record=RecordOptions(path))
             one = _killed if kind == "killed" else _disk_full
             outcomes.append(asdict(one(options, setup, path, draw)))
             path.unlink(missing_ok=True)
@@ -175,7 +175,7 @@ def _disk_full(options: LiveOptions, setup: Setup, path: Path, draw: random.Rand
     if isinstance(heard, str):
         return Outcome(math.nan, went_on=False, problem=heard)
     begun_s, full_s, after = heard
-    return _outcome(path, begun_s, full_s, after > 0)
+    return _outcome(path, begun_s, full_s, after >= _AFTER)
 
 
 def _numbers(said: BinaryIO, count: int) -> list[float] | str:
@@ -220,6 +220,9 @@ def _session(options: LiveOptions, setup: Setup, room_bytes: int | None, said: i
         if not begun or (not full and room_bytes is not None and "stopped" in moment.figures().recorded):
             os.write(said, b"%r\n" % time.monotonic())
             begun, full = True, begun
+        if after >= _AFTER:
+            # Ends the session as Ctrl-C does.
+            raise KeyboardInterrupt
 
     run_session(options, setup, tell)
     os.write(said, b"%d\n" % after)

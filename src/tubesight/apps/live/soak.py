@@ -23,6 +23,8 @@ from tubesight.tracking.health import Health, Mean, verdict
 # Left out of the growth of memory: so long, or half of a short session. By then the caches are full, the longest of
 # which is of 600 moments (20 s at 30 Hz), and Python's collector has gone through everything (every 10 s).
 _WARM_UP_S, _WARM_UP_SHARE = 60.0, 0.5
+# Less than so much of a rest is too short to tell an hour's growth from.
+_LEAST_S = 20.0
 # The rest is averaged over so many equal parts, through which the line is laid; looks at the memory in all.
 _PARTS, _LOOKS = 10, 400
 # Residuals of a rig at rest, px: noise of a frame, and what depends on the tube's shape, of which a day shows many; the
@@ -52,6 +54,15 @@ class Growth:
     sd_mb_per_hour: float
     warm_up_s: float
     seconds: float
+
+    def words(self) -> str:
+        """One line for people."""
+        if math.isnan(self.mb_per_hour):
+            return f"memory: {self.seconds:.0f} s after the warm-up are too short to tell its growth"
+        return (
+            f"memory {self.mb_per_hour:+.1f} +- {self.sd_mb_per_hour:.1f} MB per hour, "
+            f"over {self.seconds:.0f} s after {self.warm_up_s:.0f} s of warm-up"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,11 +175,12 @@ def growth(memory: Sequence[tuple[float, float]]) -> Growth:
     span_s = float(np.ptp(time_s)) if len(time_s) else 0.0
     warm_up_s = min(_WARM_UP_S, _WARM_UP_SHARE * span_s)
     rest_s = span_s - warm_up_s
-    part = np.floor((time_s - time_s[:1] - warm_up_s) / rest_s * _PARTS) if rest_s > 0 else np.empty(0)
+    if rest_s < _LEAST_S:
+        return Growth(math.nan, math.nan, warm_up_s, rest_s)
     # The very last look would be a part of its own.
-    part = np.minimum(part, _PARTS - 1)
+    part = np.minimum(np.floor((time_s - time_s[0] - warm_up_s) / rest_s * _PARTS), _PARTS - 1)
     parts = [part == k for k in range(_PARTS)]
-    if len(part) == 0 or not all(among.any() for among in parts):
+    if not all(among.any() for among in parts):
         return Growth(math.nan, math.nan, warm_up_s, rest_s)
     hours = np.array([time_s[among].mean() for among in parts]) / 3600
     means = np.array([mb[among].mean() for among in parts])
