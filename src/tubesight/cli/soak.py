@@ -33,6 +33,9 @@ def command(
         ),
     ] = False,
     every: EveryOption = 1,
+    faults: Annotated[
+        int, typer.Option("--faults", min=0, help="Kill so many recording sessions, and fill the disk of as many.")
+    ] = 0,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone.")] = False,
 ) -> None:
     """Show what has to hold for hours: pairing, false alarms of the watch over the rig, memory, rates and latency.
@@ -40,6 +43,8 @@ def command(
     tubesight soak --seconds 3600 --hz 200 --size 1920x1080
 
     tubesight soak --everything --seconds 600 --record soak.mcap --pictures lossless
+
+    tubesight soak --seconds 10 --faults 100
     """
     from tubesight.apps.live.options import RecordOptions
     from tubesight.apps.live.soak import soak
@@ -51,7 +56,7 @@ def command(
     recording = RecordOptions(record, pictures_of(pictures), every) if record is not None else None
     if everything:
         _everything(seconds, hz, size_of(size), recording, json)
-    done = soak(sources, seconds, instants, hours, size_of(size), recording)
+    done = soak(sources, seconds, instants, hours, size_of(size), recording, faults=faults)
     if json:
         typer.echo(to_json(done.as_dict()))
     else:
@@ -61,12 +66,14 @@ def command(
             f"drops, jitter and delays {trial.refused} were refused",
             f"watch over the rig: {done.false_alarms} false alarms in {done.hours:g} simulated hours",
             f"live: {figures.line()}",
-            f"live: memory {done.memory_mb_per_hour:+.1f} MB per hour, {done.cpu_ms_per_pair:.1f} ms of CPU per pair",
+            f"live: {done.memory.words()}; {done.cpu_ms_per_pair:.1f} ms of CPU per pair",
+            *(line for trial in done.faults for line in (trial.line(), *trial.problems)),
             *refusals(figures),
             *recorded(figures),
         ):
             stdout().print(line, soft_wrap=True)
-    raise typer.Exit(0 if done.pairing.mixed == 0 and done.figures.ok else 1)
+    good = done.pairing.mixed == 0 and done.figures.ok and all(trial.good for trial in done.faults)
+    raise typer.Exit(0 if good else 1)
 
 
 def _everything(
@@ -88,7 +95,7 @@ def _everything(
             f"live: {done.mixed} of {done.pairs} pairs mix two instants up",
             f"live: from decoded pictures to every output {done.decoded_median_ms:.1f} ms, "
             f"99 % within {done.decoded_p99_ms:.1f} ms",
-            f"live: memory {done.memory_mb_per_hour:+.1f} MB per hour, {done.cpu_ms_per_pair:.1f} ms of CPU per pair",
+            f"live: {done.memory.words()}; {done.cpu_ms_per_pair:.1f} ms of CPU per pair",
             *(f"{name}: received {_counted(kinds)}" for name, kinds in done.clients.items()),
             f"page: {'no browser found' if done.pages is None else f'{done.pages} open at the end'}",
             *refusals(figures),

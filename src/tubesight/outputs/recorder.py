@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tubesight.core import Frame
+from tubesight.core import Frame, InputError
 from tubesight.files.recording import CONFIGURATION_TOPIC, PICTURE_TOPIC, RESULT_TOPIC, coded_image
 from tubesight.outputs.mcap_file import FLUSH_S, McapFile
 from tubesight.outputs.moments import moment_json
@@ -38,12 +38,17 @@ class Recorder:
     file
         Where to; closed with the recorder.
     configuration
-        What made the results; the first message of the file.
+        What made the results; the first message of the file, written before this returns.
     pictures
         ``lossless`` (as the camera coded them; pixels as PGM or PPM, which the file's chunks compress five times faster
         than PNG would), ``jpeg``, ``crop`` or ``none``.
     every
         Pictures of every n-th pair.
+
+    Raises
+    ------
+    InputError
+        If the disk does not even take the configuration.
     """
 
     def __init__(self, file: McapFile, configuration: Mapping[str, Any], pictures: str, every: int = 1) -> None:
@@ -55,8 +60,11 @@ class Recorder:
         self._waiting, self._pairs, self._closed_s = 0, 0, math.inf
         self._counts = {"results": 0, "pictures": 0, "pictures_left_out": 0, "results_left_out": 0}
         self._failure = ""
-        file.write(CONFIGURATION_TOPIC, time.time_ns(), 0, self._about(configuration))
-        file.flush()
+        try:
+            file.write(CONFIGURATION_TOPIC, time.time_ns(), 0, self._about(configuration))
+            file.flush()
+        except OSError as error:
+            raise InputError(f"{file.path}: cannot be written ({error.strerror}); choose another place") from error
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 

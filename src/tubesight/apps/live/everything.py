@@ -19,7 +19,7 @@ from tubesight.apps.live.options import LiveOptions, RecordOptions, set_up
 from tubesight.apps.live.peers import browser, network_cameras, network_clients
 from tubesight.apps.live.publishing import NetworkSubscriber, Place, PublishOptions
 from tubesight.apps.live.session import run_session
-from tubesight.apps.live.soak import _slope as memory_slope
+from tubesight.apps.live.soak import Growth, growth
 from tubesight.apps.live.stats import Figures
 from tubesight.apps.live.steering import steering_of
 from tubesight.files.packages import require_package
@@ -49,8 +49,8 @@ class Everything:
         From the later of a pair's pictures being decoded to its result having been handed to every output.
     pairs, mixed
         Pairs measured, and those of them whose pictures are of two instants, by the numbers written into the pictures.
-    memory_mb_per_hour
-        Slope of the resident memory after the warm-up.
+    memory
+        How the resident memory grows after the warm-up.
     cpu_ms_per_pair
         Time of all threads of the measuring process, the recorder, outputs and page server included.
     clients
@@ -66,7 +66,7 @@ class Everything:
     decoded_p99_ms: float
     pairs: int
     mixed: int
-    memory_mb_per_hour: float
+    memory: Growth
     cpu_ms_per_pair: float
     clients: Mapping[str, Mapping[str, int]]
     pages: int | None
@@ -165,7 +165,7 @@ def everything(
         *watch.median_and_p99_ms(),
         figures.pairs,
         watch.mixed,
-        memory_slope(watch.memory),
+        growth(watch.memory),
         1e3 * cpu_s / figures.pairs if figures.pairs else math.nan,
         received,
         watch.pages if there else None,

@@ -18,6 +18,7 @@ from tubesight.apps.live.rig_watch import RigWatch
 from tubesight.apps.live.stats import Figures, Stats
 from tubesight.apps.switch import SensorSwitch
 from tubesight.core import InputError
+from tubesight.outputs.machine import give_back_memory
 from tubesight.outputs.publish import Subscriber
 from tubesight.sensor import ShapeSensor
 from tubesight.simulate import render_pair
@@ -33,7 +34,8 @@ from tubesight.tracking.watch import CameraFault, Watched
 _TICK_S = 0.01
 # Cameras that gave nothing so long after the start are not there.
 _FIRST_S = 15.0
-# Old objects are looked through this often, between two pairs; young ones after every pair.
+# Old objects are looked through and free memory is handed back this often, between two pairs; young objects are looked
+# through after every pair.
 _COLLECT_S = 10.0
 
 
@@ -85,7 +87,8 @@ def run_live(
     if measuring:
         warm_up(switch.current)
     rule = PairingRule(tuple(setup.sources), options.tolerance_s, options.offset_s)
-    tracker, stats, watch = Tracker(options.filtered), Stats(), RigWatch(setup.rig, setup.tube.clamped)
+    tracker = Tracker(options.filtered, designation=setup.designation())
+    stats, watch = Stats(), RigWatch(setup.rig, setup.tube.clamped)
     with quiet_collector() as collect, _stop_signals() as stopped, LiveCameras(setup.sources, rule) as cameras:
 
         def figures() -> Figures:
@@ -178,6 +181,7 @@ def quiet_collector() -> Iterator[Callable[[], None]]:
     def collect() -> None:
         if time.monotonic() - last[0] > _COLLECT_S:
             gc.collect()
+            give_back_memory()
             last[0] = time.monotonic()
         else:
             gc.collect(0)

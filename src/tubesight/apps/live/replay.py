@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tubesight.core import Array, Frame, Image, InputError
+from tubesight.core import Array, Frame, Image, InputError, Status
 from tubesight.files.images import decode_image
 from tubesight.files.recording import RecordedPicture, RecordedResult, RecordedSwitch, Recording
 from tubesight.files.rig import rig_from_text
@@ -25,6 +25,7 @@ from tubesight.outputs.moments import moment_data
 from tubesight.outputs.rows import curves_of, shape_row, write_results
 from tubesight.sensor import ShapeSensor
 from tubesight.sources.jpeg import decode_picture
+from tubesight.tracking.designation import Designation
 from tubesight.tracking.pairing import Matched
 from tubesight.tracking.tracker import Tracked, Tracker
 from tubesight.tracking.watch import CameraFault
@@ -150,11 +151,13 @@ def replay(
     about = recording.configuration
     if about.get("pictures") == "crop":
         raise InputError(f"{recording.path}: holds crops of the pictures, to look at; record with --pictures lossless")
-    # What the skew adds to the deviations depends on the pair before: with pictures left out it cannot be repeated.
+    # What the skew adds to the deviations, and what is of another device, depends on the pairs before: with pictures
+    # left out it cannot be repeated.
     whole = about.get("every") == 1
     pairs = compared = equal = without = 0
     differences: list[str] = []
-    for tracked, then in moments(recording, sensor, Tracker(bool(about.get("filtered")))):
+    tracker = Tracker(bool(about.get("filtered")), designation=_designation(recording, sensor))
+    for tracked, then in moments(recording, sensor, tracker):
         if tracked is None:
             without += 1
             whole = False
@@ -163,7 +166,8 @@ def replay(
             continue
         pairs += 1
         tell(tracked)
-        if then.get("row") is None:
+        other = Status.OTHER_DEVICE in (tracked.result.status, (then.get("row") or {}).get("status"))
+        if then.get("row") is None or (other and not whole):
             continue
         off = _differences(then, moment_data(tracked), whole)
         compared += 1
@@ -172,6 +176,15 @@ def replay(
     if not pairs:
         raise InputError(f"{recording.path}: holds no pictures to measure; record with --pictures lossless")
     return Replayed(pairs, compared, equal, without, tuple(differences), about.get("pictures") == "lossless")
+
+
+def _designation(recording: Recording, sensor: ShapeSensor) -> Designation:
+    try:
+        marks = {name: np.array(px, float).reshape(2) for name, px in recording.configuration.get("tip_px", {}).items()}
+    except (TypeError, AttributeError, ValueError) as error:
+        message = f"{recording.path}: its configuration is damaged (tip_px: {error}); run `tubesight recover`"
+        raise InputError(message) from error
+    return Designation(marks, has_end=sensor.tube.tip.shape != "open")
 
 
 def moments(

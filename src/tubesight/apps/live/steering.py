@@ -163,6 +163,7 @@ def configuration(options: LiveOptions, setup: Setup, sensor: ShapeSensor, recor
         "tube": tube_text(setup.tube),
         "method": sensor.method,
         "base_px": plain(sensor.base_px),
+        "tip_px": plain(setup.tip_px),
         "backgrounds": {
             name: base64.b64encode(cv2.imencode(".png", image)[1].tobytes()).decode()
             for name, image in setup.backgrounds.items()
