@@ -8,10 +8,15 @@ from functools import lru_cache
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from tubesight.core import FramePair, Tip, Tube
 from tubesight.geometry.rig import Rig
 from tubesight.simulate import Phantom, Scene, render_pair, rig_around, truth
+
+# No deadline on a machine that others use too.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 # The tube of the mock-up: 12 mm, 16 mm ball, clamped.
 MOCKUP_TUBE = Tube(12.0, Tip("ball", 16.0), clamped=True)

@@ -66,6 +66,8 @@ def prepare() -> None:
     head = ["name", *(f"{axis}_mm" for axis in "xyz"), *(f"{name}_{axis}_px" for name in rig.names for axis in "xy")]
     rows = [",".join([f"p{k}", *map(str, row)]) for k, row in enumerate(np.concatenate([places, pixels], 1).tolist())]
     Path("points.csv").write_text("\n".join([",".join(head), *rows]), encoding="utf-8")
+    cameras = ["--source", "left=sim:", "--source", "right=sim:", "--size", "480x270", "--seconds", "1"]
+    assert leave(["record", *cameras, "-o", "session.mcap"]) == 0
     blocks = re.findall(r"^```yaml\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     Path("scene.yaml").write_text(next(block for block in blocks if "shapes:" in block), encoding="utf-8")
 

@@ -259,6 +259,20 @@ def test_a_full_disk_stops_the_recording_alone(
     assert any(isinstance(e, RecordedResult) for e in Recording(tmp_path / "full.mcap").entries())
 
 
+def test_a_disk_that_is_full_from_the_start_is_refused_in_one_line(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    file = McapFile(tmp_path / "full.mcap")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
+    try:
+        with pytest.raises(InputError, match="full.mcap: cannot be written"):
+            Recorder(file, configuration(), "lossless")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
+
+
 def test_a_process_that_is_killed_loses_a_second_at_most(tmp_path: Path) -> None:
     path = tmp_path / "killed.mcap"
     script = f"""

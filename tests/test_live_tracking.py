@@ -70,14 +70,14 @@ def test_a_steady_tube_is_tracked_and_predicted() -> None:
     assert tracked.predicted_tip_mm == pytest.approx([100 * 29 / 30, 0.0, 120.0], abs=0.2)
 
 
-def test_a_jump_is_doubted_and_the_number_stays() -> None:
+def test_a_jump_is_doubted_and_not_measured() -> None:
     tracker = Tracker()
     for k in range(10):
         tracker.step(measured((0.0, 0.0, 120.0)), pair(k / 30))
     jumped = tracker.step(measured((60.0, 0.0, 120.0)), pair(10 / 30))
     assert jumped.state is State.DEGRADED and "60.0 mm from where it was expected" in jumped.notes[0]
-    assert jumped.result is not None and jumped.result.shape is not None
-    assert jumped.result.shape.tip_mm[0] == 60.0
+    assert jumped.result is not None and jumped.result.shape is None
+    assert jumped.result.status is Status.OTHER_DEVICE
     back = tracker.step(measured((0.0, 0.0, 120.0)), pair(11 / 30))
     assert back.state is State.TRACKING
 
@@ -218,6 +218,19 @@ def test_the_watch_over_the_rig_says_what_it_cannot_see(seen: tuple[list[object]
     free = blind_spots(rig, tip, clamped=False)
     # Without the clamp, a turn about the optical axis moves the tip along its epipolar line nearly.
     assert any(spot.startswith("left: a turn about its z axis") for spot in free)
+
+
+def test_a_shift_along_the_optical_axis_that_the_tip_does_not_show_is_told() -> None:
+    rig = rig_around(90.0, size_px=(1280, 720))
+    # Bent so far that the tip is as high in the pictures as the cameras are.
+    high, low = (Bent(theta, 5.0, 150.0).at(150.0) for theta in (1.3, 0.6))
+    said = blind_spots(rig, high, clamped=True)
+    assert [spot.partition(" below")[0] for spot in said] == [
+        "left: a shift along its z axis", "right: a shift along its z axis"
+    ]  # fmt: skip
+    assert blind_spots(rig, low, clamped=True) == ()
+    # Told also where the tip was there a part of the time alone.
+    assert blind_spots(rig, np.stack([low, high]), clamped=True) == said
 
 
 def test_a_rig_that_was_off_at_the_start_is_told() -> None:

@@ -30,7 +30,7 @@ from tubesight.apps.live.publishing import (
 )
 
 ARC = Arc(np.array([0.003, 0.001]), 100.0)
-SETUP: Any = SimpleNamespace()
+STEERING: Any = SimpleNamespace()
 
 
 def tracked(name: str = "0") -> Tracked:
@@ -53,7 +53,7 @@ def test_what_is_no_place_is_refused(text: str) -> None:
 
 
 def test_a_result_reaches_a_client_with_the_time_of_its_pictures() -> None:
-    (subscriber,), messages = open_subscribers(PublishOptions(websocket=Place("127.0.0.1", 0)), SETUP)
+    (subscriber,), messages = open_subscribers(PublishOptions(websocket=Place("127.0.0.1", 0)), STEERING)
     try:
         assert messages == [m for m in messages if m.startswith("results: ws://127.0.0.1:")]
         subscriber.publish(tracked("first"))
@@ -78,7 +78,7 @@ def test_a_port_in_use_leaves_nothing_open() -> None:
         other.listen()
         taken = other.getsockname()[1]
         with pytest.raises(InputError, match="choose another port"):
-            open_subscribers(PublishOptions(igtl=Place("127.0.0.1", 0), websocket=Place("127.0.0.1", taken)), SETUP)
+            open_subscribers(PublishOptions(igtl=Place("127.0.0.1", 0), websocket=Place("127.0.0.1", taken)), STEERING)
 
 
 def test_a_fault_has_no_numbers() -> None:

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +28,12 @@ from tubesight.simulate.phantom import Arc as Bend
 pytest.importorskip("viser")
 
 from browser import open_page
+from http_cameras import serve
 from tubesight.apps.viewer.cameras import clicked_px, plane_corners
-from tubesight.apps.viewer.panel import _badge, _numbers
+from tubesight.apps.viewer.controls import Controls
+from tubesight.apps.viewer.panel import _numbers, badge
 from tubesight.apps.viewer.scene import ALONG, AROUND, MM, tube_mesh
-from tubesight.apps.viewer.viewer import Controls, Viewer
+from tubesight.apps.viewer.viewer import Viewer
 
 RIG = rig_around(90.0, size_px=(1280, 720))
 
@@ -75,7 +78,7 @@ def test_a_click_on_a_picture_is_its_pixel(u: float, v: float, depth: float, off
 
 def test_names_cannot_become_markup() -> None:
     nasty = "<script>alert(1)</script>"
-    assert "<script>" not in _badge(nasty, nasty, False)
+    assert "<script>" not in badge(nasty, nasty, False)
     assert "<script>" not in _numbers(measured(30, nasty), nasty)
 
 
@@ -141,15 +144,17 @@ def test_page_shows_the_shape_without_network(simulated_pair: Callable[..., Simu
         marked.append((what, camera, px))
         done.set()
 
-    controls = Controls(("silhouette",), lambda _: None, lambda _: None, ("base", "tip"), mark)
+    controls = Controls(("silhouette",), lambda _: None, ("base", "tip"), mark)
+    nasty = "<img src=x onerror='window.broken = 1'>"
     with Viewer(seen.rig, seen.tube, 0, controls) as viewer:
         look_along(viewer, seen.rig)
-        viewer.publish(measured(40, "<script>window.broken = 1</script>"), seen.pair, 0.0, "30 a second")
+        result = replace(measured(40, "<script>window.broken = 1</script>"), notes=(nasty,))
+        viewer.publish(result, seen.pair, 0.0, f"30 a second {nasty}")
         with open_page(viewer.address, tmp_path) as page:
             assert page.until("document.body.innerText.includes('tip x')"), "the panel is there"
             assert page.until("document.querySelector('canvas') && document.querySelector('img')"), "both drawn"
             page.wait(2.0)
-            viewer._mark = "tip"
+            viewer.controls._mark = "tip"
             page.screenshot(tmp_path / "page.png")
             page.click(*middle_of_canvas(page))
             done.wait(20)
@@ -162,6 +167,57 @@ def test_page_shows_the_shape_without_network(simulated_pair: Callable[..., Simu
     # The canvas' middle looks along the camera's axis: at its principal point, to a pixel of a window half as wide.
     camera = seen.rig.cameras[seen.rig.names[0]]
     np.testing.assert_allclose(marked[0][2], camera.matrix[:2, 2], atol=4.0)
+
+
+def test_a_device_with_a_nasty_name_is_harmless(simulated_pair: Callable[..., SimulatedPair], tmp_path: Path) -> None:
+    """No file can name a camera so; a program that makes its own rig can."""
+    seen = simulated_pair(Bend(math.radians(40), 0.5, 120.0))
+    nasty = ("<script>window.broken=1<script>", "<img src=x onerror=window.broken=1>")
+    names = dict(zip(seen.rig.names, nasty, strict=True))
+    rig = Rig(
+        {names[k]: camera for k, camera in seen.rig.cameras.items()},
+        {names[k]: pose for k, pose in seen.rig.camera_from_base.items()},
+    )
+    pair = replace(seen.pair, images={names[k]: image for k, image in seen.pair.images.items()})
+    with Viewer(rig, seen.tube, 0) as viewer:
+        viewer.publish(measured(40), pair, 0.0)
+        with open_page(viewer.address, tmp_path) as page:
+            assert page.until("document.body.innerText.includes('tip x') && document.querySelector('img')")
+            page.wait(2.0)
+            assert not page.call("Runtime.evaluate", expression="Boolean(window.broken)")["result"]["value"]
+
+
+def test_a_page_of_another_site_cannot_connect(tmp_path: Path) -> None:
+    """In Chromium: the viewer's own page is connected, one from another port of this machine is refused."""
+    script = """<script>window.said = ''
+        const socket = new WebSocket('ADDRESS'.replace('http', 'ws'), 'viser-v1.1.1')
+        socket.onopen = () => { window.said = 'open' }
+        socket.onerror = () => { window.said = 'refused' }
+        fetch('ADDRESS').then(r => r.text()).then(t => { window.read = t }, () => { window.read = 'refused' })
+        </script>other site"""
+
+    def respond(handler: Any) -> None:
+        handler.send_response(200)
+        handler.send_header("Content-Type", "text/html")
+        handler.end_headers()
+        handler.wfile.write(script.replace("ADDRESS", viewer.address).encode())
+
+    with Viewer(RIG, MOCKUP_TUBE, 0) as viewer, serve(respond) as other, open_page(other, tmp_path) as page:
+        assert page.until("window.said && window.read")
+        value = page.call("Runtime.evaluate", expression="window.said + ' ' + window.read")["result"]["value"]
+        assert value == "refused refused" and not viewer.server.get_clients()
+        page.call("Page.navigate", url=viewer.address)
+        assert page.until("document.body.innerText.includes('pipeline') || document.body.innerText.includes('waiting')")
+        assert len(viewer.server.get_clients()) == 1
+
+
+def test_connections_that_are_not_used_are_no_news(capfd: pytest.CaptureFixture[str]) -> None:
+    with Viewer(RIG, MOCKUP_TUBE, 0) as viewer:
+        for sent in (b"", b"\0\xff" * 200, b"GET / HTTP/1.1\r\n"):
+            with socket.create_connection(("127.0.0.1", viewer.server.get_port())) as client:
+                client.sendall(sent)
+        time.sleep(0.3)
+    assert capfd.readouterr() == ("", "")
 
 
 def look_along(viewer: Viewer, rig: Rig) -> None:

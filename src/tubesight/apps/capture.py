@@ -14,7 +14,7 @@ import numpy as np
 from tubesight.apps.calibrate import board_of
 from tubesight.calibration.look import FEW_PAIRS, Collection, Look, is_still, look_at, motion_px
 from tubesight.calibration.search import in_threads
-from tubesight.core import Board, FramePair, InputError
+from tubesight.core import Board, FramePair, Image, InputError
 from tubesight.files.dataset import list_pairs, list_pictures
 from tubesight.files.images import read_image
 from tubesight.files.rig import refuse_camera_name
@@ -60,8 +60,8 @@ class State:
 
     Attributes
     ----------
-    looks
-        By camera: what its picture shows.
+    images, looks
+        By camera: its picture, and what that shows.
     still
         By camera: whether the board is still in it.
     kept
@@ -70,6 +70,7 @@ class State:
         What happened to the pair, or what to do.
     """
 
+    images: Mapping[str, Image]
     looks: Mapping[str, Look]
     still: Mapping[str, bool]
     collection: Collection
@@ -146,7 +147,7 @@ def capture(options: CaptureOptions, tell: Callable[[State], None] = lambda stat
                 collection.add(looks)
                 number += 1
                 word = f"kept {kept}"
-            tell(State(looks, still, collection, kept, word))
+            tell(State(pair.images, looks, still, collection, kept, word))
             if collection.done:
                 reason = "nothing is lacking" if not collection.lacking() else "more of the same would not help"
                 break

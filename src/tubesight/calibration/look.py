@@ -142,10 +142,10 @@ class Collection:
         self.looks: dict[str, list[Look]] = {name: [] for name in cameras}
 
     def __len__(self) -> int:
-        return len(next(iter(self.looks.values())))
+        return min(len(looks) for looks in self.looks.values())
 
     def add(self, looks: Mapping[str, Look]) -> None:
-        """Keep a pair."""
+        """Keep a pair, or the looks of those cameras that see the board."""
         for name, look in looks.items():
             self.looks[name].append(look)
 
@@ -168,7 +168,7 @@ class Collection:
 
     def covered(self, name: str) -> CameraQuality:
         """Coverage of one camera, also in words."""
-        return CameraQuality(len(self), float("nan"), self.cells(name), {})
+        return CameraQuality(len(self.looks[name]), float("nan"), self.cells(name), {})
 
     def turned_deg(self, name: str) -> float:
         """Largest angle between two directions of the board, of one camera."""

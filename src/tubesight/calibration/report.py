@@ -9,7 +9,8 @@ from html import escape
 import cv2
 import numpy as np
 
-from tubesight.calibration.quality import CELLS, Verdict
+from tubesight.calibration.coverage import tint_empty
+from tubesight.calibration.quality import Verdict
 from tubesight.calibration.scene import Observation, rms
 from tubesight.core import Array, Image
 
@@ -17,8 +18,8 @@ from tubesight.core import Array, Image
 _WIDTH_PX = 960
 # Length in the picture, as a share of its width, of a residual three times the RMS.
 _VECTOR_SHARE = 0.02
-# BGR, on the dimmed photograph: corners that fit, corners off by three times the RMS, empty cells.
-_GOOD, _BAD, _EMPTY = np.array([120.0, 220.0, 90.0]), np.array([60.0, 70.0, 255.0]), np.array([70.0, 60.0, 150.0])
+# BGR, on the dimmed photograph: corners that fit, corners off by three times the RMS.
+_GOOD, _BAD = np.array([120.0, 220.0, 90.0]), np.array([60.0, 70.0, 255.0])
 
 Label = tuple[str, str]
 """Camera and view of an observation."""
@@ -47,7 +48,7 @@ def coverage_picture(
         picture = np.repeat(dimmed[..., None], 3, -1).astype(np.uint8)
     px = np.concatenate([o.px for o in observations])
     off = np.concatenate(list(residuals_px))
-    _tint_empty(picture, px * scale)
+    tint_empty(picture, px * scale)
     typical = max(rms([off]), 1e-6)
     longer = _VECTOR_SHARE * _WIDTH_PX / (3 * typical)
     for place, vector in zip(px, off, strict=True):
@@ -62,18 +63,6 @@ def coverage_picture(
     cv2.rectangle(picture, (0, shape[0] - 26), (shape[1], shape[0]), (20, 20, 20), -1)
     cv2.putText(picture, caption, (8, shape[0] - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (235, 235, 235), 1, cv2.LINE_AA)
     return np.asarray(picture, dtype=np.uint8)
-
-
-def _tint_empty(picture: Image, px: Array) -> None:
-    """Tint the cells of the picture without a corner."""
-    size = picture.shape[:2]
-    columns, rows = CELLS
-    for j in range(rows):
-        for i in range(columns):
-            x, y = (slice(s * k // n, s * (k + 1) // n) for s, k, n in ((size[1], i, columns), (size[0], j, rows)))
-            inside = (px[:, 0] >= x.start) & (px[:, 0] < x.stop) & (px[:, 1] >= y.start) & (px[:, 1] < y.stop)
-            if not inside.any():
-                picture[y, x] = (0.75 * picture[y, x] + 0.25 * _EMPTY).astype(np.uint8)
 
 
 def page(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tubesight.cli.live_options import SizeOption, SourceOption, size_of, sources_of
+from tubesight.cli.live_options import SizeOption, SourceOption, ViewOption, size_of, sources_of
 
 if TYPE_CHECKING:
     from tubesight.apps.capture import Captured, State
@@ -26,6 +26,7 @@ def command(
     pairs: Annotated[int, typer.Option("--pairs", min=4, max=200, help="How many pairs to keep at least.")] = 15,
     seconds: Annotated[float, typer.Option("--seconds", min=1, help="Longest time to go on.")] = 900.0,
     size: SizeOption = None,
+    view: ViewOption = None,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone.")] = False,
 ) -> None:
     """Take pairs of pictures of a board to calibrate with, and say where to hold it.
@@ -34,18 +35,42 @@ def command(
     nothing is lacking. Ctrl-C stops it earlier; what is kept stays.
 
         tubesight capture --source left=0 --source right=2 --board board.yaml -o calibration
+
+        tubesight capture --source left=0 --source right=2 --board board.yaml -o calibration --view 8080
     """
     from tubesight.apps.capture import CaptureOptions, capture
     from tubesight.files.tables import to_json
 
     options = CaptureOptions(sources_of(source), board, out, pairs, seconds, size_of(size))
-    with _screen(json) as tell:
-        captured = capture(options, tell)
+    with _screen(json) as tell, _page(view) as show:
+
+        def both(state: State) -> None:
+            tell(state)
+            show(state)
+
+        captured = capture(options, both)
     if json:
         typer.echo(to_json(captured.as_dict()))
     else:
         _print(captured)
     raise typer.Exit(1 if captured.level == "too few" else 0)
+
+
+@contextmanager
+def _page(port: int | None) -> Iterator[Callable[[State], None]]:
+    """Show states in the browser, where a port is given."""
+    if port is None:
+        yield lambda state: None
+        return
+    from tubesight.cli.console import remark
+    from tubesight.files.packages import require_package
+
+    require_package("viser", "view", "the viewer needs the package viser")
+    from tubesight.apps.viewer.boards import BoardPage
+
+    with BoardPage(port) as page:
+        remark([f"open {page.address} in a browser on this machine"])
+        yield lambda state: page.show(state.images, state.looks, state.collection, state.word, bool(state.kept))
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from tubesight.cli.live_options import (
     SecondsOption,
     SizeOption,
     SourceOption,
+    TipOption,
     ToleranceOption,
     TubeOption,
     UdpOption,
@@ -52,6 +53,7 @@ def command(
     method: Annotated[str | None, typer.Option("--method", help="One of `tubesight methods`.")] = None,
     background: BackgroundOption = None,
     base: BaseOption = None,
+    tip: TipOption = None,
     size: SizeOption = None,
     gray: GrayOption = False,
     tolerance: ToleranceOption = 10.0,
@@ -91,6 +93,7 @@ def command(
         tube_path=tube,
         method=method or DEFAULT_METHOD,
         base_px=places_of(base or []),
+        tip_px=places_of(tip or [], "--tip"),
         background_path=background,
         size_px=size_of(size),
         gray=gray,
@@ -119,13 +122,15 @@ def _run(options: LiveOptions, publishing: PublishOptions, stats: bool, json: bo
     from tubesight.apps.live.options import set_up
     from tubesight.apps.live.publishing import open_subscribers
     from tubesight.apps.live.session import run_session
+    from tubesight.apps.live.steering import steering_of
     from tubesight.cli.console import remark
 
     setup = set_up(options)
-    subscribers, addresses = open_subscribers(publishing, setup)
+    steering = steering_of(options, setup)
+    subscribers, addresses = open_subscribers(publishing, steering)
     remark([*setup.messages, *addresses])
     with screen(stats, json) as tell:
-        figures = run_session(options, setup, tell, subscribers)
+        figures = run_session(options, setup, tell, subscribers, steering=steering)
     report(figures, json, [figures.line()])
     raise typer.Exit(0 if figures.ok else 1)
 

@@ -35,6 +35,14 @@ BackgroundOption = Annotated[
 BaseOption = Annotated[
     list[str] | None, typer.Option("--base", metavar="CAMERA:X,Y ...", help="Pixel of the tube's base in each camera.")
 ]
+TipOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tip",
+        metavar="CAMERA:X,Y ...",
+        help="Pixel of the tube's tip at the start: follow this one of several devices.",
+    ),
+]
 GrayOption = Annotated[bool, typer.Option("--gray", help="Do without colour: pictures decode faster.")]
 ToleranceOption = Annotated[
     float, typer.Option("--tolerance", min=0, help="Largest difference between the times of a pair, ms.")

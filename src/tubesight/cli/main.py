@@ -37,7 +37,7 @@ from tubesight.cli import (
     view,
     warmup,
 )
-from tubesight.cli.places import BaseCommand
+from tubesight.cli.places import PlacesCommand
 from tubesight.core.errors import InputError
 
 app = typer.Typer(
@@ -72,13 +72,13 @@ app.command("init")(init.command)
 app.command("board")(board.command)
 app.command("capture")(capture.command)
 app.command("calibrate")(calibrate.command)
-app.command("register", cls=BaseCommand)(register.command)
+app.command("register", cls=PlacesCommand)(register.command)
 app.command("import")(import_.command)
 app.command("rig-export")(rig_export.command)
 app.command("check")(check.command)
-app.command("run", cls=BaseCommand)(run.command)
+app.command("run", cls=PlacesCommand)(run.command)
 app.command("view")(view.command)
-app.command("live", cls=BaseCommand)(live.command)
+app.command("live", cls=PlacesCommand)(live.command)
 app.command("record")(record.command)
 app.command("replay")(replay.command)
 app.command("recover")(recover.command)

@@ -24,6 +24,8 @@ class Frame:
         Counts the camera's pictures; a gap is a picture lost before it got here.
     coded
         The picture as the camera sent it (a whole JPEG), empty where it came as pixels.
+    decoded_s
+        When its pixels were there, on this machine's clock (`time.monotonic`); NaN for stored pictures.
     """
 
     camera: str
@@ -31,6 +33,7 @@ class Frame:
     time_s: float
     number: int = 0
     coded: bytes = b""
+    decoded_s: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

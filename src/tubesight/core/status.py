@@ -19,6 +19,7 @@ class Status(StrEnum):
     NEAR_DEGENERATE = "near_degenerate"
     RESIDUAL_TOO_LARGE = "residual_too_large"
     BAD_IMAGE = "bad_image"
+    OTHER_DEVICE = "other_device"
 
     @property
     def advice(self) -> str:
@@ -43,6 +44,8 @@ _ADVICE = {
     Status.NEAR_DEGENERATE: "the views do not fix the shape here; use a larger angle between the cameras",
     Status.RESIDUAL_TOO_LARGE: "the curve does not fit the pictures; check tube.yaml, the registration and the overlay",
     Status.BAD_IMAGE: "the picture cannot be used",
+    Status.OTHER_DEVICE: "this does not follow from the tube measured before; clear what crosses or covers it, or "
+    "begin anew if it was exchanged",
 }
 
 

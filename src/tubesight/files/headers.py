@@ -78,8 +78,9 @@ def _jpeg(data: bytes) -> tuple[int, int]:
             break
         position += 2 + max(length, 2)
     # Within the scans 0xFF is always followed by 0 or a restart marker, so this is the end marker of the picture
-    # itself, not that of a thumbnail; what cameras append behind it does not matter.
-    if data.find(b"\xff\xd9", position) < 0:
+    # itself, not that of a thumbnail; what cameras append behind it does not matter. Looked for from the end, where it
+    # is: from the start it takes 0.2 ms of a picture of 1080p.
+    if data.rfind(b"\xff\xd9", position) < 0:
         raise BrokenPicture("cut off")
     if size is None:
         raise BrokenPicture("damaged")

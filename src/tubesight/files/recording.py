@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,15 @@ class RecordedResult:
     data: dict[str, Any]
 
 
-Entry = RecordedPicture | RecordedResult
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedSwitch:
+    """The configuration again, with what was changed while it ran: it made the results that follow."""
+
+    time_ns: int
+    configuration: dict[str, Any]
+
+
+Entry = RecordedPicture | RecordedResult | RecordedSwitch
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,6 +155,57 @@ def read_messages(path: Path) -> Iterator[Message]:
                 raise
 
 
+class MessageIndex:
+    """Messages of a whole recording, by topic and time.
+
+    Parameters
+    ----------
+    path
+        The file; stays open until `close`.
+
+    Raises
+    ------
+    InputError
+        If it has no index, since its writer was cut off.
+    """
+
+    def __init__(self, path: Path) -> None:
+        need_mcap(str(path))
+        from mcap.reader import SeekingReader
+
+        self._path = path
+        self._stream = path.open("rb")
+        with self._explained():
+            self._reader = SeekingReader(self._stream, validate_crcs=True, record_size_limit=_RECORD_BYTES)
+            summary = self._reader.get_summary()
+            if summary is None or not summary.chunk_indexes:
+                raise ValueError("no index")
+
+    def messages(self, topic: str, start_ns: int = 0, end_ns: int | None = None) -> Iterator[Message]:
+        """Messages of a topic in the order of their times, from one time to before another."""
+        with self._explained():
+            found = self._reader.iter_messages([topic], starting_at=start_ns, ending_before=end_ns)
+            for _, channel, record in found:
+                yield Message(channel.topic, record.log_time, record.sequence, record.data)
+
+    def close(self) -> None:
+        """Let the file go."""
+        self._stream.close()
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        try:
+            yield
+        except InputError:
+            raise
+        # Decompressors of damaged chunks raise errors of their own.
+        except Exception as error:
+            self._stream.close()
+            raise InputError(
+                f"{self._path}: cut off or damaged; `tubesight recover {self._path} -o NEW.mcap` writes it anew"
+            ) from error
+
+
 class Recording:
     """A recording: its configuration, and its entries in order.
 
@@ -172,8 +232,10 @@ class Recording:
             raise InputError(f"{path}: not a {FORMAT} file; read it with the version that wrote it")
 
     def entries(self) -> Iterator[Entry]:
-        """Pictures and results as they were written: the pictures of a pair before its result."""
-        for message in read_messages(self.path):
+        """Pictures, results and changes as they were written: the pictures of a pair before its result."""
+        messages = read_messages(self.path)
+        next(messages, None)
+        for message in messages:
             if message.topic.startswith(PICTURE_TOPIC):
                 try:
                     form, data = decoded_image(message.data)
@@ -183,6 +245,8 @@ class Recording:
                 yield RecordedPicture(camera, message.number, message.time_ns, form, data)
             elif message.topic == RESULT_TOPIC:
                 yield RecordedResult(message.time_ns, _json(message.data, self.path))
+            elif message.topic == CONFIGURATION_TOPIC:
+                yield RecordedSwitch(message.time_ns, _json(message.data, self.path))
 
 
 def _json(data: bytes, path: Path) -> dict[str, Any]:

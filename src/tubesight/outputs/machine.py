@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
 import platform
+import sys
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -38,3 +41,19 @@ def resident_mb() -> float:
     # Kilobytes, but bytes on macOS.
     unit = 1e6 if platform.system() == "Darwin" else 1e3
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+
+
+def give_back_memory() -> None:
+    """Hand free memory back to the system, where the C library can (glibc).
+
+    Pictures of megabytes that come and go on several threads leave holes in the C library's heap, and a busy moment,
+    with more pictures waiting than before, makes it grow for good.
+    """
+    trim = getattr(_c_library(), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
+@cache
+def _c_library() -> ctypes.CDLL | None:
+    return ctypes.CDLL(None) if sys.platform == "linux" else None

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tubesight.core import Frame
+from tubesight.core import Frame, InputError
 from tubesight.files.recording import CONFIGURATION_TOPIC, PICTURE_TOPIC, RESULT_TOPIC, coded_image
 from tubesight.outputs.mcap_file import FLUSH_S, McapFile
 from tubesight.outputs.moments import moment_json
@@ -38,12 +38,17 @@ class Recorder:
     file
         Where to; closed with the recorder.
     configuration
-        What made the results; the first message of the file.
+        What made the results; the first message of the file, written before this returns.
     pictures
         ``lossless`` (as the camera coded them; pixels as PGM or PPM, which the file's chunks compress five times faster
         than PNG would), ``jpeg``, ``crop`` or ``none``.
     every
         Pictures of every n-th pair.
+
+    Raises
+    ------
+    InputError
+        If the disk does not even take the configuration.
     """
 
     def __init__(self, file: McapFile, configuration: Mapping[str, Any], pictures: str, every: int = 1) -> None:
@@ -51,13 +56,15 @@ class Recorder:
         # Times of pictures are of a clock that starts anywhere; those of a file are since 1970.
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._changed = threading.Condition()
-        self._queue: deque[tuple[Tracked, bool]] = deque()
+        self._queue: deque[tuple[Tracked | bytes, bool]] = deque()
         self._waiting, self._pairs, self._closed_s = 0, 0, math.inf
         self._counts = {"results": 0, "pictures": 0, "pictures_left_out": 0, "results_left_out": 0}
         self._failure = ""
-        about = {**configuration, "epoch_ns": self._epoch_ns}
-        file.write(CONFIGURATION_TOPIC, time.time_ns(), 0, json.dumps(about).encode())
-        file.flush()
+        try:
+            file.write(CONFIGURATION_TOPIC, time.time_ns(), 0, self._about(configuration))
+            file.flush()
+        except OSError as error:
+            raise InputError(f"{file.path}: cannot be written ({error.strerror}); choose another place") from error
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -75,6 +82,15 @@ class Recorder:
             self._waiting += _bytes(tracked) if wanted and room else 0
             self._queue.append((tracked, wanted and room))
             self._changed.notify()
+
+    def configure(self, configuration: Mapping[str, Any]) -> None:
+        """Say what makes the results from here on; returns at once."""
+        with self._changed:
+            if self._closed_s == math.inf and not self._failure:
+                self._queue.append((self._about(configuration), False))
+
+    def _about(self, configuration: Mapping[str, Any]) -> bytes:
+        return json.dumps({**configuration, "epoch_ns": self._epoch_ns}).encode()
 
     def state(self) -> dict[str, Any]:
         """Say what was written, and why no more is; for the screen."""
@@ -111,11 +127,15 @@ class Recorder:
                 self._failure = f"the disk takes no more ({error.strerror or error})"
                 self._queue.clear()
 
-    def _left_out(self, tracked: Tracked) -> None:
-        with self._changed:
-            self._counts["pictures_left_out"] += len(tracked.pair.frames if tracked.pair is not None else ())
+    def _left_out(self, tracked: Tracked | bytes) -> None:
+        if isinstance(tracked, Tracked) and tracked.pair is not None:
+            with self._changed:
+                self._counts["pictures_left_out"] += len(tracked.pair.frames)
 
-    def _write(self, tracked: Tracked, pictures: bool) -> None:
+    def _write(self, tracked: Tracked | bytes, pictures: bool) -> None:
+        if isinstance(tracked, bytes):
+            self._file.write(CONFIGURATION_TOPIC, time.time_ns(), 0, tracked)
+            return
         if pictures and tracked.pair is not None:
             for frame in tracked.pair.frames.values():
                 form, data = self._coded(frame, tracked)

@@ -14,7 +14,7 @@ from tubesight.core import Array, InputError
 from tubesight.files.images import decode_image
 from tubesight.files.nested import dump_yaml
 from tubesight.files.packages import require_package
-from tubesight.files.recording import IMAGE_SCHEMA, RecordedPicture, Recording
+from tubesight.files.recording import IMAGE_SCHEMA, RecordedPicture, RecordedSwitch, Recording
 from tubesight.files.rig import rig_from_text
 from tubesight.files.safe import write_atomic
 from tubesight.geometry.pose import turn_onto
@@ -109,6 +109,8 @@ def _messages(recording: Recording) -> Iterator[tuple[int, str, dict[str, Any]]]
     """Yield times, topics and messages in the order of the recording."""
     frame = rig_from_text(str(recording.configuration.get("rig", "")), recording.path).rig.base_frame
     for entry in recording.entries():
+        if isinstance(entry, RecordedSwitch):
+            continue
         header = _header(entry.time_ns, frame)
         if isinstance(entry, RecordedPicture):
             form, data = _shown(entry)

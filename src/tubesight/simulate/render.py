@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from scipy.special import ndtri
@@ -26,6 +28,8 @@ from tubesight.simulate.phantom import Phantom
 from tubesight.simulate.rays import Window, coverage
 from tubesight.simulate.scene import Scene, light_from_srgb, srgb_from_light
 from tubesight.simulate.sweep import Body, see
+
+Device = tuple[Phantom, Tube]
 
 # Points of the line that throws the shadow.
 _SHADOW_POINTS = 60
@@ -70,14 +74,14 @@ def expose(levels: Plane, scene: Scene, rng: np.random.Generator) -> Image:
 
 
 def _draw_tube(
-    levels: Plane, back: Backdrop, camera: Camera, pose: Pose, phantom: Phantom, tube: Tube, scene: Scene
+    levels: Plane, back: Backdrop, camera: Camera, pose: Pose, device: Device, clamp: Clamp, scene: Scene
 ) -> None:
-    body = Body.of(phantom, tube)
+    body = Body.of(*device)
     surface = see(body, camera, pose)
     if surface is None:
         return
     alpha = coverage(surface.edge) * (1 - holder_covers(back, surface, body.radius_mm))
-    lit = holder_shadow(surface, scene, pose, clamp_of(phantom))
+    lit = holder_shadow(surface, scene, pose, clamp)
     light = shade(surface, scene, paint_of(surface, body, scene, camera, pose), pose, lit)
     paint(levels, camera, scene, surface.window, alpha, light)
 
@@ -87,7 +91,19 @@ def clamp_of(phantom: Phantom) -> Clamp:
     return Clamp(phantom.at(np.zeros(1))[0], phantom.tangent(np.zeros(1))[0])
 
 
-def render(camera: Camera, camera_from_base: Pose, phantom: Phantom, tube: Tube, scene: Scene, name: str = "") -> Image:
+def _depth_mm(camera_from_base: Pose, phantom: Phantom) -> float:
+    return float(camera_from_base.apply(phantom.at(np.array([phantom.length_mm / 2])))[0, 2])
+
+
+def render(
+    camera: Camera,
+    camera_from_base: Pose,
+    phantom: Phantom,
+    tube: Tube,
+    scene: Scene,
+    name: str = "",
+    others: Sequence[Device] = (),
+) -> Image:
     """Photograph a phantom.
 
     Parameters
@@ -98,6 +114,9 @@ def render(camera: Camera, camera_from_base: Pose, phantom: Phantom, tube: Tube,
         Diameter and tip.
     name
         Changes the noise from picture to picture.
+    others
+        More devices of the same colour, with no holder and no shadow. Of two devices the one whose middle is nearer to
+        the camera covers the other.
 
     Returns
     -------
@@ -114,15 +133,25 @@ def render(camera: Camera, camera_from_base: Pose, phantom: Phantom, tube: Tube,
     if scene.shadow:
         line = phantom.at(np.linspace(0, phantom.length_mm, _SHADOW_POINTS))
         cast_shadow(levels, scene, camera, camera_from_base, line, tube.diameter_mm or 0.0)
-    _draw_tube(levels, back, camera, camera_from_base, phantom, tube, scene)
+    for device in sorted([(phantom, tube), *others], key=lambda device: -_depth_mm(camera_from_base, device[0])):
+        _draw_tube(levels, back, camera, camera_from_base, device, clamp_of(phantom), scene)
     return expose(levels, scene, scene.random("noise", name, *camera.matrix.ravel()))
 
 
-def render_pair(rig: Rig, phantom: Phantom, tube: Tube, scene: Scene | None = None, name: str = "") -> FramePair:
+def render_pair(
+    rig: Rig,
+    phantom: Phantom,
+    tube: Tube,
+    scene: Scene | None = None,
+    name: str = "",
+    others: Sequence[Device] = (),
+) -> FramePair:
     """Photograph a phantom with every camera of a rig."""
     look = scene or Scene()
     images = {
-        camera: render(rig.cameras[camera], rig.camera_from_base[camera], phantom, tube, look, f"{name}/{camera}")
+        camera: render(
+            rig.cameras[camera], rig.camera_from_base[camera], phantom, tube, look, f"{name}/{camera}", others
+        )
         for camera in rig.names
     }
     return FramePair(images, name=name)

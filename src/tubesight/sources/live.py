@@ -216,6 +216,7 @@ class _Camera:
         return False
 
     def _pass_on(self, picture: Picture) -> None:
+        decoded_s = time.monotonic()
         time_s = picture.time_s
         if not self._source.live:
             time_s = self._in_time(time_s)
@@ -224,7 +225,8 @@ class _Camera:
             self._number += picture.skipped
             self._owner._skipped(self._name, picture.skipped)
         self._number += 1
-        self._owner._arrived(Frame(self._name, picture.image, time_s, self._number, picture.coded), state)
+        frame = Frame(self._name, picture.image, time_s, self._number, picture.coded, decoded_s)
+        self._owner._arrived(frame, state)
 
     def _in_time(self, time_s: float) -> float:
         """Hold a stored picture back until its time has come."""

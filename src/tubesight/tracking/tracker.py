@@ -12,6 +12,7 @@ from tubesight.core import Array
 from tubesight.geometry.curve import Curve3D, NodeCurve
 from tubesight.geometry.shape import SD_NAMES, Shape
 from tubesight.sensor import Reconstruction
+from tubesight.tracking.designation import Designation, agreed, contradiction, followers, withheld
 from tubesight.tracking.kalman import Moving, begin, correct, distance_squared, predict
 from tubesight.tracking.pairing import Matched
 from tubesight.tracking.states import TRANSITIONS, Event, State
@@ -23,7 +24,8 @@ ACCELERATION_MM_PER_S2 = 5000.0
 _SPEED_SD_MM_PER_S = 300.0
 # Chi squared of three degrees of freedom beyond which a tip contradicts its prediction: once in 100000 by chance.
 _GATE = 25.9
-# Doubtful tips in a row that agree with each other are the tube, moved; the track begins anew there.
+# Doubtful tips in a row that agree with each other are the tube, moved; the track begins anew there. After a loss a
+# tube that was well known is believed as late: a device that moves through its place has its length for a moment only.
 _CONVINCED = 3
 # A loss is longer than this: half a second without a measurement.
 _LOST_S = 0.5
@@ -40,8 +42,8 @@ class Tracked:
     Attributes
     ----------
     result
-        The reconstruction of this pair alone, never filtered; its deviations include what the skew adds. None where no
-        pair came (a fault, or silence).
+        The reconstruction of this pair alone, never filtered; its deviations include what the skew adds. One that is
+        doubted has no numbers. None where no pair came (a fault, or silence).
     state
         Of the tracking.
     time_s, skew_s
@@ -87,15 +89,23 @@ class Tracker:
         Whether to filter the shape.
     acceleration_mm_per_s2
         Standard deviation of the acceleration that prediction and filter allow for.
+    designation
+        Which device is to be followed; the first one measured where nothing is said.
     """
 
-    def __init__(self, filtered: bool = False, acceleration_mm_per_s2: float = ACCELERATION_MM_PER_S2) -> None:
+    def __init__(
+        self,
+        filtered: bool = False,
+        acceleration_mm_per_s2: float = ACCELERATION_MM_PER_S2,
+        designation: Designation | None = None,
+    ) -> None:
+        self._known = designation or Designation()
         self.state = State.SEARCHING
         self._acceleration, self._filtering = acceleration_mm_per_s2, filtered
         self._tip: Moving | None = None
         self._filter: Moving | None = None
         self._before: tuple[float, Shape] | None = None
-        self._doubts: list[Array] = []
+        self._doubts: list[tuple[float, Array]] = []
         self._good_s = math.nan
 
     def event(self, event: Event) -> State:
@@ -130,37 +140,60 @@ class Tracker:
         sd = np.array([shape.sd[name] for name in ("tip_x", "tip_y", "tip_z")])
         covariance = np.diag(np.where(np.isfinite(sd), sd, _UNKNOWN_SD_MM) ** 2)
         predicted = predict(self._tip, time_s, self._acceleration) if self._tip is not None else None
-        notes = self._doubt(predicted, shape.tip_mm, covariance)
-        predicted = predicted if self._tip is not None else None
-        self._before = (time_s, shape)
-        if notes:
-            self.event(Event.DOUBTFUL)
-        else:
-            self._good_s = time_s
-            self._tip = _corrected(predicted, time_s, shape.tip_mm, covariance)
-            if self._filtering:
-                self._filter = self._filtered(curve, time_s)
-            self.event(Event.GOOD)
-        expected = predicted.position_mm if predicted is not None else None
-        filtered = None if notes else self._filter
-        return Tracked(result, self.state, time_s, skew_s, {}, notes, pair, expected, filtered)
-
-    def _doubt(self, predicted: Moving | None, tip_mm: Array, covariance: Array) -> tuple[str, ...]:
-        """Say why this tip cannot follow those before; nothing where it can, or where enough agree on it."""
-        if predicted is None or distance_squared(predicted, tip_mm, covariance) <= _GATE:
+        why = contradiction(self._known, result, shape, curve, time_s)
+        if why:
             self._doubts = []
-            return ()
-        self._doubts = [*self._doubts, tip_mm][-_CONVINCED:]
-        spread = float(np.ptp(np.array(self._doubts), axis=0).max())
-        jump = float(np.linalg.norm(tip_mm - predicted.position_mm))
-        if len(self._doubts) == _CONVINCED and spread < jump:
+        else:
+            why = self._doubt(predicted, shape.tip_mm, covariance, time_s)
+        predicted = predicted if self._tip is not None else None
+        if why:
+            return self._refused(result, pair, why, predicted)
+        self._before = (time_s, shape)
+        self._good_s = time_s
+        self._known = agreed(self._known, result, shape, curve, time_s)
+        self._tip = _corrected(predicted, time_s, shape.tip_mm, covariance)
+        if self._filtering:
+            self._filter = self._filtered(curve, time_s)
+        self.event(Event.GOOD)
+        expected = predicted.position_mm if predicted is not None else None
+        return Tracked(result, self.state, time_s, skew_s, {}, (), pair, expected, self._filter)
+
+    def _refused(self, result: Reconstruction, pair: Matched, why: str, predicted: Moving | None) -> Tracked:
+        """Publish a pair without its numbers: what was measured may be another device."""
+        where = followers(self._known, result.views)
+        why += f"; {where} may follow something else" if where else ""
+        self.event(Event.DOUBTFUL if not pair.time_s - self._good_s > _LOST_S else Event.MISSED_LONG)
+        if self.state is State.LOST:
             self._forget()
-            return ()
-        return (f"the tip is {jump:.1f} mm from where it was expected: moved very fast, or it is another thing",)
+        expected = predicted.position_mm if predicted is not None else None
+        told = withheld(result, why)
+        return Tracked(told, self.state, pair.time_s, pair.skew_s, {}, told.notes, pair, expected)
+
+    def _doubt(self, predicted: Moving | None, tip_mm: Array, covariance: Array, time_s: float) -> str:
+        """Say why this tip cannot follow those before; nothing where it can, or where enough agree on it."""
+        if predicted is None:
+            expected = not self._known.settled
+        else:
+            expected = distance_squared(predicted, tip_mm, covariance) <= _GATE
+        if expected:
+            self._doubts = []
+            return ""
+        self._doubts = [*self._doubts, (time_s, tip_mm)][-_CONVINCED:]
+        spread = float(np.ptp(np.array([tip for _, tip in self._doubts]), axis=0).max())
+        if predicted is None:
+            limit = _SPEED_SD_MM_PER_S * min(time_s - self._doubts[0][0], _LOST_S)
+            why = f"the tube was lost: it is believed after {_CONVINCED} pairs that agree"
+        else:
+            limit = float(np.linalg.norm(tip_mm - predicted.position_mm))
+            why = f"the tip is {limit:.1f} mm from where it was expected: moved very fast, or it is another thing"
+        if len(self._doubts) == _CONVINCED and spread < limit:
+            self._forget()
+            self._doubts = []
+            return ""
+        return why
 
     def _forget(self) -> None:
         self._tip = self._filter = self._before = None
-        self._doubts = []
 
     def _filtered(self, curve: Curve3D, time_s: float) -> Moving:
         points = curve.at(FILTER_SHARES * curve.length_mm)

@@ -16,7 +16,9 @@ from typing import Any
 from tubesight.apps.live.options import LiveOptions, Setup
 from tubesight.apps.live.rig_watch import RigWatch
 from tubesight.apps.live.stats import Figures, Stats
+from tubesight.apps.switch import SensorSwitch
 from tubesight.core import InputError
+from tubesight.outputs.machine import give_back_memory
 from tubesight.outputs.publish import Subscriber
 from tubesight.sensor import ShapeSensor
 from tubesight.simulate import render_pair
@@ -32,7 +34,8 @@ from tubesight.tracking.watch import CameraFault, Watched
 _TICK_S = 0.01
 # Cameras that gave nothing so long after the start are not there.
 _FIRST_S = 15.0
-# Old objects are looked through this often, between two pairs; young ones after every pair.
+# Old objects are looked through and free memory is handed back this often, between two pairs; young objects are looked
+# through after every pair.
 _COLLECT_S = 10.0
 
 
@@ -55,6 +58,7 @@ class Moment:
 def run_live(
     options: LiveOptions,
     setup: Setup,
+    switch: SensorSwitch,
     subscribers: Sequence[Subscriber] = (),
     tell: Callable[[Moment], None] = lambda moment: None,
     recorded: Callable[[], Mapping[str, Any]] = dict,
@@ -64,6 +68,8 @@ def run_live(
 
     Parameters
     ----------
+    switch
+        What measures; a new sensor is taken from it between two pairs.
     subscribers
         Where results go; not closed here.
     tell
@@ -78,18 +84,18 @@ def run_live(
     InputError
         If a camera gives no first picture.
     """
-    sensor = setup.sensor()
     if measuring:
-        warm_up(sensor)
+        warm_up(switch.current)
     rule = PairingRule(tuple(setup.sources), options.tolerance_s, options.offset_s)
-    tracker, stats, watch = Tracker(options.filtered), Stats(), RigWatch(setup.rig, setup.tube.clamped)
+    tracker = Tracker(options.filtered, designation=setup.designation())
+    stats, watch = Stats(), RigWatch(setup.rig, setup.tube.clamped)
     with quiet_collector() as collect, _stop_signals() as stopped, LiveCameras(setup.sources, rule) as cameras:
 
         def figures() -> Figures:
             return stats.figures(cameras.counts(), recorded())
 
         with suppress(KeyboardInterrupt):
-            for tracked in _results(options, cameras, tracker, watch, sensor if measuring else None, stopped):
+            for tracked in _results(options, cameras, tracker, watch, switch if measuring else None, stopped):
                 stats.add(tracked)
                 for subscriber in subscribers:
                     subscriber.publish(tracked)
@@ -104,7 +110,7 @@ def _results(
     cameras: LiveCameras,
     tracker: Tracker,
     watch: RigWatch,
-    measure: ShapeSensor | None,
+    switch: SensorSwitch | None,
     stopped: Callable[[], bool],
 ) -> Iterator[Tracked]:
     """Measure pairs as they come, and say when cameras fail and return."""
@@ -129,10 +135,12 @@ def _results(
             last_faults = faults
         if pair is None or faults:
             continue
-        if measure is None:
+        if switch is None:
             yield Tracked(None, tracker.state, pair.time_s, pair.skew_s, pair=pair)
             continue
-        tracked = tracker.step(measure(pair.pair(str(index))), pair)
+        if switch.adopt():
+            watch.begin_anew(switch.current.tube.clamped)
+        tracked = tracker.step(switch.current(pair.pair(str(index))), pair)
         latency = time.monotonic() - pair.time_s
         moved = watch.add(tracked.result, pair.time_s) if tracked.result is not None else ""
         yield replace(tracked, latency_s=latency, late=latency > options.deadline_s, moved=moved)
@@ -173,6 +181,7 @@ def quiet_collector() -> Iterator[Callable[[], None]]:
     def collect() -> None:
         if time.monotonic() - last[0] > _COLLECT_S:
             gc.collect()
+            give_back_memory()
             last[0] = time.monotonic()
         else:
             gc.collect(0)

@@ -19,6 +19,7 @@ from tubesight.sources.folder import read_backgrounds
 from tubesight.sources.opening import open_source
 from tubesight.sources.reader import TIMEOUT_S, Source, Wanted
 from tubesight.sources.simulated import SIM_TUBE, sim_rig
+from tubesight.tracking.designation import Designation
 
 # Pictures of free-running cameras are taken for one instant up to this difference.
 TOLERANCE_S = 0.01
@@ -62,6 +63,8 @@ class LiveOptions:
         Name of a registered method.
     base_px
         Pixel of the tube's base by camera, where it is not to be found from the rig.
+    tip_px
+        Pixel of the tube's tip by camera, where several devices are in view: the one to follow.
     background_path
         Pictures without the tube.
     size_px
@@ -89,6 +92,7 @@ class LiveOptions:
     tube_path: Path | None = None
     method: str = DEFAULT_METHOD
     base_px: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    tip_px: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     background_path: Path | None = None
     size_px: tuple[int, int] | None = None
     gray: bool = False
@@ -110,6 +114,7 @@ class Setup:
     tube: Tube
     sources: Mapping[str, Source]
     base_px: Mapping[str, Array]
+    tip_px: Mapping[str, Array]
     backgrounds: Mapping[str, Image]
     method: str
     messages: tuple[str, ...]
@@ -117,6 +122,10 @@ class Setup:
     def sensor(self) -> ShapeSensor:
         """Return the sensor of this session."""
         return ShapeSensor(self.rig, self.tube, self.method, self.backgrounds, self.base_px)
+
+    def designation(self) -> Designation:
+        """Return which device this session follows, as far as that is known before it begins."""
+        return Designation(self.tip_px, has_end=self.tube.tip.shape != "open")
 
 
 def set_up(options: LiveOptions) -> Setup:
@@ -127,16 +136,17 @@ def set_up(options: LiveOptions) -> Setup:
     InputError
         If a file cannot be used, a source means nothing, or they do not fit the rig.
     """
-    for name in (*options.sources, *options.base_px, *options.offset_s):
+    for name in (*options.sources, *options.base_px, *options.tip_px, *options.offset_s):
         refuse_camera_name(name, "--source")
     messages: list[str] = []
     rig, text = _rig(options, messages)
     known = SIM_TUBE if all(simulated(text) for text in options.sources.values()) else None
     tube = tube_for(options.tube_path, rig, messages, known)
-    for what, names in (("--source", options.sources), ("--base", options.base_px), ("--offset", options.offset_s)):
+    named = {"source": options.sources, "base": options.base_px, "tip": options.tip_px, "offset": options.offset_s}
+    for what, names in named.items():
         unknown = sorted(set(names) - set(rig.names))
         if unknown:
-            raise InputError(f"{what} names camera {unknown[0]!r}, but the rig has {', '.join(rig.names)}")
+            raise InputError(f"--{what} names camera {unknown[0]!r}, but the rig has {', '.join(rig.names)}")
     lacking = [name for name in rig.names if name not in options.sources]
     if lacking:
         raise InputError(f"camera {lacking[0]!r} of the rig has no source; give --source {lacking[0]}=...")
@@ -148,8 +158,10 @@ def set_up(options: LiveOptions) -> Setup:
         for name in rig.names
     }
     backgrounds = read_backgrounds(options.background_path, rig) if options.background_path is not None else {}
-    base = {name: np.array(px, float) for name, px in options.base_px.items()}
-    return Setup(rig, text, tube, sources, base, backgrounds, options.method, tuple(messages))
+    base, tip = (
+        {name: np.array(px, float) for name, px in marks.items()} for marks in (options.base_px, options.tip_px)
+    )
+    return Setup(rig, text, tube, sources, base, tip, backgrounds, options.method, tuple(messages))
 
 
 def simulated(text: str) -> bool:

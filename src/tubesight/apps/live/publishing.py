@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tubesight.apps.live.options import Setup
+from tubesight.apps.live.steering import Steering
 from tubesight.core import InputError, Status
 from tubesight.files.packages import require_package
 from tubesight.outputs.network.access import LOOPBACK, Access, is_loopback
@@ -51,8 +51,13 @@ class PublishOptions:
     view_port: int | None = None
 
 
-def open_subscribers(options: PublishOptions, setup: Setup) -> tuple[list[Subscriber], list[str]]:
+def open_subscribers(options: PublishOptions, steering: Steering) -> tuple[list[Subscriber], list[str]]:
     """Open everything that was asked for, and say what the user should know.
+
+    Parameters
+    ----------
+    steering
+        What can be changed in the viewer.
 
     Raises
     ------
@@ -70,7 +75,7 @@ def open_subscribers(options: PublishOptions, setup: Setup) -> tuple[list[Subscr
             require_package("viser", "view", "the viewer needs the package viser")
             from tubesight.apps.live.watching import ViewerSubscriber
 
-            viewer = ViewerSubscriber(setup, options.view_port)
+            viewer = ViewerSubscriber(steering, options.view_port)
             subscribers.append(viewer)
             messages.append(f"open {viewer.address} in a browser on this machine")
     except InputError:
@@ -97,6 +102,8 @@ class NetworkSubscriber:
     ----------
     messages
         Where clients connect, and warnings.
+    addresses
+        Of each output: ``igtl://...``, ``ws://...``, ``udp://...``.
     """
 
     def __init__(self, options: PublishOptions) -> None:
@@ -127,7 +134,8 @@ class NetworkSubscriber:
                 self.messages.append(f"warning: datagrams leave this machine for {options.udp.host}, not encrypted")
         self._hub = Hub(senders)
         self._hub.__enter__()
-        self.messages += [f"results: {sender.address}" for sender in senders]
+        self.addresses = [sender.address for sender in senders]
+        self.messages += [f"results: {address}" for address in self.addresses]
 
     def publish(self, tracked: Tracked) -> None:
         """Hand a result over; returns at once."""

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from tubesight.core import Array, Frame, Image, InputError
+from tubesight.core import Array, Frame, Image, InputError, Status
 from tubesight.files.images import decode_image
-from tubesight.files.recording import RecordedPicture, RecordedResult, Recording
+from tubesight.files.recording import RecordedPicture, RecordedResult, RecordedSwitch, Recording
 from tubesight.files.rig import rig_from_text
 from tubesight.files.tables import SD_COLUMNS, ShapeRow
 from tubesight.files.tube import tube_from_text
@@ -25,6 +25,7 @@ from tubesight.outputs.moments import moment_data
 from tubesight.outputs.rows import curves_of, shape_row, write_results
 from tubesight.sensor import ShapeSensor
 from tubesight.sources.jpeg import decode_picture
+from tubesight.tracking.designation import Designation
 from tubesight.tracking.pairing import Matched
 from tubesight.tracking.tracker import Tracked, Tracker
 from tubesight.tracking.watch import CameraFault
@@ -99,7 +100,7 @@ def sensor_of(recording: Recording) -> ShapeSensor:
     try:
         rig = rig_from_text(str(about["rig"]), path).rig
         tube = tube_from_text(str(about["tube"]), path)
-        base: dict[str, Array] = {name: np.array(px, float).reshape(2) for name, px in about["base_px"].items()}
+        base = _marks(about)
         backgrounds: dict[str, Image] = {
             name: decode_image(base64.b64decode(data, validate=True), path, rig.cameras[name].size_px)
             for name, data in about["backgrounds"].items()
@@ -112,6 +113,22 @@ def sensor_of(recording: Recording) -> ShapeSensor:
     if method not in METHODS:
         raise InputError(f"{path}: was measured with the method {method[:40]!r}, which is not installed")
     return ShapeSensor(rig, tube, method, backgrounds, base)
+
+
+def _marks(about: Mapping[str, Any]) -> dict[str, Array]:
+    return {name: np.array(px, float).reshape(2) for name, px in about["base_px"].items()}
+
+
+def switched(sensor: ShapeSensor, before: Mapping[str, Any], entry: RecordedSwitch, path: Path) -> ShapeSensor:
+    """Change a sensor as it was changed during a recording; a method other than the recorded one stays."""
+    now = entry.configuration
+    try:
+        method = str(now["method"]) if sensor.method == before["method"] else sensor.method
+        return replace(sensor, method=method, base_px=_marks(now))
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(
+            f"{path}: a change of its configuration is damaged ({error}); run `tubesight recover`"
+        ) from error
 
 
 def replay(
@@ -134,11 +151,13 @@ def replay(
     about = recording.configuration
     if about.get("pictures") == "crop":
         raise InputError(f"{recording.path}: holds crops of the pictures, to look at; record with --pictures lossless")
-    # What the skew adds to the deviations depends on the pair before: with pictures left out it cannot be repeated.
+    # What the skew adds to the deviations, and what is of another device, depends on the pairs before: with pictures
+    # left out it cannot be repeated.
     whole = about.get("every") == 1
     pairs = compared = equal = without = 0
     differences: list[str] = []
-    for tracked, then in moments(recording, sensor, Tracker(bool(about.get("filtered")))):
+    tracker = Tracker(bool(about.get("filtered")), designation=_designation(recording, sensor))
+    for tracked, then in moments(recording, sensor, tracker):
         if tracked is None:
             without += 1
             whole = False
@@ -147,7 +166,8 @@ def replay(
             continue
         pairs += 1
         tell(tracked)
-        if then.get("row") is None:
+        other = Status.OTHER_DEVICE in (tracked.result.status, (then.get("row") or {}).get("status"))
+        if then.get("row") is None or (other and not whole):
             continue
         off = _differences(then, moment_data(tracked), whole)
         compared += 1
@@ -158,11 +178,21 @@ def replay(
     return Replayed(pairs, compared, equal, without, tuple(differences), about.get("pictures") == "lossless")
 
 
+def _designation(recording: Recording, sensor: ShapeSensor) -> Designation:
+    try:
+        marks = {name: np.array(px, float).reshape(2) for name, px in recording.configuration.get("tip_px", {}).items()}
+    except (TypeError, AttributeError, ValueError) as error:
+        message = f"{recording.path}: its configuration is damaged (tip_px: {error}); run `tubesight recover`"
+        raise InputError(message) from error
+    return Designation(marks, has_end=sensor.tube.tip.shape != "open")
+
+
 def moments(
     recording: Recording, sensor: ShapeSensor, tracker: Tracker
 ) -> Iterator[tuple[Tracked | None, Mapping[str, Any]]]:
     """Go through a recording: what is measured now (None without pictures) and what was written then."""
-    gray = bool(recording.configuration.get("gray"))
+    about: Mapping[str, Any] = recording.configuration
+    gray = bool(about.get("gray"))
     waiting: dict[str, dict[int, RecordedPicture]] = {name: {} for name in sensor.rig.names}
     index = 0
     for entry in recording.entries():
@@ -171,6 +201,9 @@ def moments(
             own[entry.number] = entry
             while len(own) > _WAITING:
                 own.pop(next(iter(own)))
+            continue
+        if isinstance(entry, RecordedSwitch):
+            sensor, about = switched(sensor, about, entry, recording.path), entry.configuration
             continue
         numbers = entry.data.get("pictures")
         if numbers is None:

@@ -16,6 +16,9 @@ from tubesight.tracking.offset import estimate_offset
 
 # Moments a delay is estimated from: 20 s at 30 Hz.
 _MOMENTS = 600
+# What cannot be seen depends on where the tip is: it is told for each cell of this size that the tip was in, of the
+# first so many (5 ms each).
+_CELL_MM, _PLACES = 30.0, 40
 # A delay that is told: three deviations of it, and what moves a tip at 100 mm/s by 0.1 mm.
 _SURE, _LEAST_S = 3.0, 1e-3
 
@@ -33,22 +36,29 @@ class RigWatch:
         self._rig, self._clamped = rig, clamped
         self._health = Health()
         self._tips: deque[tuple[float, dict[str, Array]]] = deque(maxlen=_MOMENTS)
-        self.blind: tuple[str, ...] | None = None
+        self._places: dict[tuple[int, ...], Array] = {}
+
+    def begin_anew(self, clamped: bool) -> None:
+        """Forget the residuals: another method's, or those from a base marked by hand, are others on the same rig."""
+        self._health, self._clamped, self.blind = Health(), clamped, None
 
     def add(self, result: Reconstruction, time_s: float) -> str:
         """Take a pair into account; which camera moved, in a sentence, or nothing."""
         self._health = observe(self._health, result, self._rig, self._clamped)
         if result:
             self._tips.append((time_s, {name: view.tip.axis for name, view in result.views.items()}))
-            if self.blind is None and self._health.tip_mm is not None:
-                self.blind = blind_spots(self._rig, self._health.tip_mm, self._clamped)
+            if self._health.tip_mm is not None and len(self._places) < _PLACES:
+                cell = tuple(np.rint(self._health.tip_mm / _CELL_MM).astype(int).tolist())
+                self._places.setdefault(cell, self._health.tip_mm)
         return verdict(self._health, self._rig)
 
     def remarks(self) -> tuple[str, ...]:
         """Say what was found of the rig, and what could not be seen."""
         moved = verdict(self._health, self._rig)
         said = [moved] if moved else []
-        said += [f"not seen by the watch over the rig: {spot}" for spot in self.blind or ()]
+        if self._places:
+            spots = blind_spots(self._rig, np.array(list(self._places.values())), self._clamped)
+            said += [f"not seen by the watch over the rig, with the tip where it was: {spot}" for spot in spots]
         return (*said, *self._delays())
 
     def _delays(self) -> list[str]:

@@ -16,7 +16,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from tubesight.core import InputError
-from tubesight.outputs.network.access import LOOPBACK, Access, checked_port
+from tubesight.outputs.network.access import CONNECTIONS, LOOPBACK, Access, checked_port
 
 PORT = 8080
 
@@ -74,10 +74,13 @@ def _serve_checked(serve: Callable[..., Any], access: Access, *args: Any, proces
         if len(hosts) != 1 or len(origins) > 1:
             return connection.respond(http.HTTPStatus.BAD_REQUEST, "one Host, at most one Origin\n")
         refusal = access.refusal(hosts[0], origins[0] if origins else None, request.path, None)
+        # The page steers the measurement and has files written: other programs' pages on this machine may not either.
+        if origins and origins[0] != f"http://{hosts[0]}":
+            refusal = "pages of other sites may not connect"
         return (
             connection.respond(http.HTTPStatus.FORBIDDEN, f"{refusal}\n")
             if refusal
             else process_request(connection, request)
         )
 
-    return serve(*args, process_request=check, **named)
+    return serve(*args, process_request=check, **{**named, "logger": CONNECTIONS})

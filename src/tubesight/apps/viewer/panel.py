@@ -13,6 +13,8 @@ from viser import uplot
 from tubesight.core import Image
 from tubesight.sensor import Reconstruction
 
+# Places in the panel, from above: state and numbers, what can be done, pictures, plots.
+_STATE, _NUMBERS, PLAYER, CONTROLS, _PICTURES, _PLOTS, _LAST = (float(place) for place in range(7))
 # Results that the plots show.
 HISTORY = 600
 # Pictures in the panel are this wide.
@@ -36,19 +38,19 @@ class Panel:
         self._gui = server.gui
         server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         server.gui.main_panel.dock_right()
-        self._state = server.gui.add_html(_badge("waiting", "no result yet", False))
-        self._numbers = server.gui.add_html("")
-        self._folder = server.gui.add_folder("pictures")
+        self._state = server.gui.add_html(badge("waiting", "no result yet", False), order=_STATE)
+        self._numbers = server.gui.add_html("", order=_NUMBERS)
+        self._folder = server.gui.add_folder("pictures", order=_PICTURES)
         self._picture: viser.GuiImageHandle | None = None
         self._times: deque[float] = deque(maxlen=HISTORY)
         self._values: deque[tuple[float, ...]] = deque(maxlen=HISTORY)
-        with server.gui.add_folder("over time"):
+        with server.gui.add_folder("over time", order=_PLOTS):
             self._plots = [
                 self._plot("tip, mm", ("x", "y", "z")),
                 self._plot("angles, deg", _SPAN),
                 self._plot("length, mm", ("length",)),
             ]
-        server.gui.add_markdown("*Research use only, not a medical device.*")
+        server.gui.add_markdown("*Research use only, not a medical device.*", order=_LAST)
 
     def _plot(self, title: str, names: tuple[str, ...]) -> viser.GuiUplotHandle:
         series = [uplot.Series(label="s")]
@@ -64,10 +66,15 @@ class Panel:
         remarks
             Rates, latency and the like, for one line below the state.
         """
-        self._state.content = _badge(str(result.status), "; ".join(result.notes) or result.status.advice, bool(result))
+        self._state.content = badge(str(result.status), "; ".join(result.notes) or result.status.advice, bool(result))
         self._numbers.content = _numbers(result, remarks)
         self._times.append(time_s)
         self._values.append(_values(result))
+
+    def forget(self) -> None:
+        """Begin the plots anew."""
+        self._times.clear()
+        self._values.clear()
 
     def show_plots(self) -> None:
         """Bring the plots up to date; gaps where nothing was measured."""
@@ -92,7 +99,8 @@ def _values(result: Reconstruction) -> tuple[float, ...]:
     return (*s.tip_mm.tolist(), math.degrees(s.bending_rad), math.degrees(s.orientation_rad), s.length_mm)
 
 
-def _badge(word: str, text: str, good: bool) -> str:
+def badge(word: str, text: str, good: bool) -> str:
+    """HTML of a word on green or red, and a sentence."""
     colour = _GOOD if good else _BAD
     return (
         f'<div style="margin:0.4em 0.8em"><span style="background:{colour};color:white;border-radius:0.4em;'

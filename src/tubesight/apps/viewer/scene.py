@@ -117,6 +117,10 @@ class Scene3D:
             vertices, _ = tube_mesh(curve, self._radius_mm + 2 * enlarge * sd)
             self._hull.vertices = (vertices * MM).astype(np.float32)
 
+    def forget(self) -> None:
+        """Begin the way of the tip anew."""
+        self._way.clear()
+
     def show_way(self) -> None:
         """Show the last places of the tip."""
         if len(self._way) > 1:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
+import logging
 import secrets
 from dataclasses import dataclass
 from urllib.parse import parse_qs, urlsplit
@@ -11,6 +12,11 @@ from urllib.parse import parse_qs, urlsplit
 from tubesight.core import InputError
 
 LOOPBACK = "127.0.0.1"
+#: Where servers tell of connections: nowhere. Browsers open some beforehand and close them unused, scanners send
+#: anything, and neither is worth a traceback on the terminal.
+CONNECTIONS = logging.getLogger("tubesight.connections")
+CONNECTIONS.addHandler(logging.NullHandler())
+CONNECTIONS.propagate = False
 # Bytes of randomness in a token: 128 bits cannot be guessed.
 _TOKEN_BYTES = 16
 

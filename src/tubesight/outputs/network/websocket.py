@@ -12,7 +12,7 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.http11 import Request, Response
 
 from tubesight.files.message import dump_message, message_schema
-from tubesight.outputs.network.access import Access, checked_port
+from tubesight.outputs.network.access import CONNECTIONS, Access, checked_port
 
 PORT = 8765
 CLIENTS_MAX = 16
@@ -65,6 +65,7 @@ class WebSocketServer:
             ping_timeout=_PING_S,
             compression=None,
             server_header=None,
+            logger=CONNECTIONS,
             write_limit=_WAITING_BYTES,
         )
         self.port = next(iter(self._server.sockets)).getsockname()[1]
