@@ -76,6 +76,22 @@ def test_a_rig_file_is_needed_for_real_cameras(tmp_path: Path) -> None:
         set_up(options({"left": "sim:"}))
     with pytest.raises(InputError, match="--base names camera 'up'"):
         set_up(options(base_px={"up": (1.0, 2.0)}))
+    with pytest.raises(InputError, match="--tip names camera 'up'"):
+        set_up(options(tip_px={"up": (1.0, 2.0)}))
+
+
+def test_nothing_is_measured_but_the_tip_that_was_marked(tmp_path: Path) -> None:
+    """Marked in corners of both pictures, where no tip is: as recorded, and as measured again."""
+    pytest.importorskip("mcap")
+    path = tmp_path / "marked.mcap"
+    marks = ["--tip", "left:5,5", "right:470,5"]
+    runner = CliRunner()
+    done = runner.invoke(app, ["live", *TWO, *marks, "--seconds", "0.6", "--record", str(path), "--json"])
+    assert done.exit_code == 1, done.output
+    status = json.loads(done.stdout)["status"]
+    assert set(status) == {"other_device"}
+    again = replay_file(path)
+    assert again.compared == status["other_device"] == again.equal
 
 
 def test_a_camera_that_is_not_there_ends_the_session_with_its_reason() -> None:

@@ -266,7 +266,7 @@ def test_a_disk_that_is_full_from_the_start_is_refused_in_one_line(tmp_path: Pat
     ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (200, before[1]))
     try:
-        with pytest.raises(InputError, match="full.mcap: cannot be written"):
+        with pytest.raises(InputError, match=r"full\.mcap: cannot be written"):
             Recorder(file, configuration(), "lossless")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -73,7 +73,7 @@ class Wanted:
     size_px
         (width, height); None for the camera's own.
     gray
-        Whether colour is not needed: gray pictures decode three times as fast.
+        Whether colour is not needed: gray JPEGs decode in two thirds of the time.
     timeout_s
         A camera that gives nothing for so long is dead.
     rig, tube, scene

@@ -59,8 +59,8 @@ class FaultTrial:
     stopped
         Sessions that did not go on measuring to their end; of those that were not killed.
     worst_lost_s, mean_lost_s
-        From the last result that is in the file, or from the first pair where there is none, to when the session was
-        killed, or the disk found full.
+        From the last result that is in the file, or from the first pair where there is none, to the last pair that was
+        measured before the session was killed, or before the disk was found full.
     problems
         The first things that went wrong, in words.
     """
@@ -157,41 +157,40 @@ def nursery(kind: Kind, sessions: int, seed: int) -> None:
 def _killed(options: LiveOptions, setup: Setup, path: Path, draw: random.Random) -> Outcome:
     pid, said = _forked(options, setup, None)
     with said:
-        heard = _numbers(said, 1)
+        first = said.readline()
         time.sleep(draw.uniform(*_KILL_S))
-        killed_s = time.monotonic()
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
+        heard = _numbers([first, *said])
     if isinstance(heard, str):
         return Outcome(math.nan, went_on=True, problem=heard)
-    return _outcome(path, heard[0], killed_s, went_on=True)
+    return _outcome(path, heard[0], heard[-1], went_on=True)
 
 
 def _disk_full(options: LiveOptions, setup: Setup, path: Path, draw: random.Random) -> Outcome:
     pid, said = _forked(options, setup, draw.randint(*_ROOM_BYTES))
     with said:
-        heard = _numbers(said, 3)
+        heard = _numbers(list(said))
         os.waitpid(pid, 0)
     if isinstance(heard, str):
         return Outcome(math.nan, went_on=False, problem=heard)
-    begun_s, full_s, after = heard
-    return _outcome(path, begun_s, full_s, after >= _AFTER)
+    # The pairs after the one with which the disk was found full are the last.
+    full = max(len(heard) - 1 - _AFTER, 0)
+    return _outcome(path, heard[0], heard[full], went_on=full > 0)
 
 
-def _numbers(said: BinaryIO, count: int) -> list[float] | str:
-    """Read what a session says: numbers, or why there are none."""
-    lines = [said.readline() for _ in range(count)]
+def _numbers(lines: list[bytes]) -> list[float] | str:
+    """Read what a session said: times, or why there are none."""
+    if not any(lines):
+        return "the session ended without a word"
     try:
         return [float(line) for line in lines]
     except ValueError:
-        return b"".join(lines).decode("utf-8", "replace").strip() or "the session ended without a word"
+        return lines[-1].decode("utf-8", "replace").strip()
 
 
 def _forked(options: LiveOptions, setup: Setup, room_bytes: int | None) -> tuple[int, BinaryIO]:
-    """Start a session in a process of its own; its number, and what it will say, a number a line.
-
-    When its first pair was measured, when it found the disk full, and how many pairs it measured after that.
-    """
+    """Start a session in a process of its own; its number, and what it will say: the time of each pair, a line each."""
     read, write = os.pipe()
     pid = os.fork()
     if pid:
@@ -212,20 +211,20 @@ def _session(options: LiveOptions, setup: Setup, room_bytes: int | None, said: i
 
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (room_bytes, room_bytes))
-    begun, full, after = False, False, 0
+    after = 0
 
     def tell(moment: Moment) -> None:
-        nonlocal begun, full, after
-        after += full and bool(moment.tracked.result)
-        if not begun or (not full and room_bytes is not None and "stopped" in moment.figures().recorded):
-            os.write(said, b"%r\n" % time.monotonic())
-            begun, full = True, begun
-        if after >= _AFTER:
+        nonlocal after
+        os.write(said, b"%r\n" % moment.tracked.time_s)
+        if after or (room_bytes is not None and "stopped" in moment.figures().recorded):
+            after += 1
+        if after > _AFTER:
             # Ends the session as Ctrl-C does.
             raise KeyboardInterrupt
 
     run_session(options, setup, tell)
-    os.write(said, b"%d\n" % after)
+    if room_bytes is not None and not after:
+        raise RuntimeError("the disk was never found full")
 
 
 def _outcome(path: Path, begun_s: float, end_s: float, went_on: bool) -> Outcome:

@@ -16,7 +16,7 @@ from tubesight.apps.live.options import LiveOptions, RecordOptions, set_up
 from tubesight.apps.live.pairing_trial import PairingTrial, run_trial
 from tubesight.apps.live.session import run_session
 from tubesight.apps.live.stats import Figures
-from tubesight.outputs.machine import resident_mb
+from tubesight.outputs.machine import give_back_memory, resident_mb
 from tubesight.simulate import rig_around
 from tubesight.tracking.health import Health, Mean, verdict
 
@@ -78,7 +78,7 @@ class Soak:
     figures
         Of the live session.
     memory
-        How its resident memory grows.
+        How its resident memory grows, free memory handed back before each look.
     cpu_ms_per_pair
         Time of all its threads, with decoding and recording.
     faults
@@ -135,6 +135,8 @@ def soak(
     def watch(moment: Moment) -> None:
         now = time.monotonic()
         if not memory or now - memory[-1][0] > seconds / _LOOKS:
+            # What is held, not what the C library keeps free for the next pictures: that depends on how busy it was.
+            give_back_memory()
             memory.append((now, resident_mb()))
         tell(moment)
 
