@@ -5,6 +5,7 @@ import math
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -54,6 +55,16 @@ def folder_with(**variables: str) -> list[str]:
 def test_compiled_code_goes_where_it_is_told(tmp_path: Path) -> None:
     compiled, folder = folder_with(NUMBA_CACHE_DIR=str(tmp_path / "told"))
     assert compiled == "True" and Path(folder).parent == tmp_path / "told"
+
+
+def test_code_that_was_not_used_for_long_is_removed(tmp_path: Path) -> None:
+    fresh, old, other = (tmp_path / name for name in ("kernels-fresh", "kernels-old", "somebody-elses"))
+    for folder, days in ((fresh, 1), (old, 40), (other, 40)):
+        folder.mkdir()
+        (folder / "code.nbi").touch()
+        os.utime(folder, (time.time() - days * 86400,) * 2)
+    _, used = folder_with(NUMBA_CACHE_DIR=str(tmp_path))
+    assert {p.name for p in tmp_path.iterdir()} == {"kernels-fresh", "somebody-elses", Path(used).name}
 
 
 def test_a_folder_that_cannot_be_written_is_passed_over(tmp_path: Path) -> None:

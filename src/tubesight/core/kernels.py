@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -26,6 +28,9 @@ _SOURCES = (
     "geometry/lens.py",
     "vision/*.py",
 )
+
+# Folders of other states of the sources that no process started with for so long are removed. Starting touches a folder.
+_KEPT_S = 30 * 86400.0
 
 
 def _stamp() -> str:
@@ -49,10 +54,18 @@ def _folder() -> Path | None:
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             with tempfile.TemporaryFile(dir=folder):
+                _remove_old(root)
                 return folder
         except OSError:
             continue
     return None
+
+
+def _remove_old(root: Path) -> None:
+    """Remove folders of compiled code that have not been used for long."""
+    for other in root.glob("kernels-*"):
+        if other.stat().st_mtime < time.time() - _KEPT_S:
+            shutil.rmtree(other, ignore_errors=True)
 
 
 #: Folder of compiled code; None where none can be written.
