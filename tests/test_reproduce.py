@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 import reproduce_tasks as tasks
 from reproduce_tasks import Number
 from tubesight.apps.pool import open_pool
+from tubesight.apps.remembered import Remembered
 from tubesight.apps.reproduce import disturbed, drawing, experiment, experiment1, experiment2, sensitivity
 from tubesight.apps.reproduce.cases import ADVICE, cases
 from tubesight.apps.reproduce.disturbed import Disturbed, Look
@@ -26,7 +27,6 @@ from tubesight.apps.reproduce.registry import STUDIES, study
 from tubesight.apps.reproduce.runner import reproduce
 from tubesight.apps.reproduce.session import PlainRig, Session, calibrated
 from tubesight.apps.reproduce.shots import ERRORS, METHODS, Shot, measured, statistics
-from tubesight.apps.reproduce.spread import Remembered
 from tubesight.apps.reproduce.study import Context
 from tubesight.cli.main import app, main
 from tubesight.core import Image, InputError
@@ -73,7 +73,7 @@ def test_other_tasks_and_other_code_are_not_mixed_up(calls: Path, monkeypatch: p
         spread = Remembered(calls.parent / "cache", pool)
         spread("study", tasks.third, numbers(calls)[:1])
         spread("study", tasks.third, [Number(1e-9, str(calls))])
-        monkeypatch.setattr("tubesight.apps.reproduce.spread._source", lambda: "changed")
+        monkeypatch.setattr("tubesight.apps.remembered._source", lambda: "changed")
         spread("study", tasks.third, numbers(calls)[:1])
     assert len(list(calls.iterdir())) == 3
 
@@ -111,17 +111,27 @@ def test_a_killed_process_is_told_in_one_line(calls: Path) -> None:
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_cluster_survives_the_death_of_a_worker(calls: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
-        ) as cluster,
-        open_pool(1, cluster.scheduler_address) as pool,
-    ):
+def test_a_cluster_survives_the_death_of_a_worker(calls: Path, cluster: Any) -> None:
+    with open_pool(1, cluster.scheduler_address) as pool:
         results = Remembered(calls.parent / "cache", pool)("study", tasks.fatal, numbers(calls))
     assert (calls / "killed").exists()
     assert results == [value**2 for value in NUMBERS]
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_task_that_kills_its_workers_is_told_in_one_line(calls: Path, cluster: Any) -> None:
+    # Dask tries three more workers; starting them takes the time of this test.
+    cluster.scheduler.allowed_failures = 0
+    with open_pool(1, cluster.scheduler_address) as pool, pytest.raises(InputError, match="memory") as caught:
+        list(pool(tasks.deadly, numbers(calls)[:1]))
+    assert "\n" not in str(caught.value)
+
+
+def test_an_interruption_does_not_wait_for_tasks_that_run(calls: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), open_pool(2) as pool:
+        for _ in pool(tasks.slow_but_first, numbers(calls)[:2]):
+            raise KeyboardInterrupt
+    assert [path.name for path in calls.iterdir()] == ["started"]
 
 
 def test_no_scheduler_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,9 +1,10 @@
-"""A study's tasks, done once: what was done before an interruption is not done again."""
+"""Tasks done once: what was done before an interruption is not done again."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cache
@@ -12,13 +13,14 @@ from typing import Any, TypeVar, cast
 
 import tubesight
 from tubesight.apps.pool import Pool
+from tubesight.core import InputError
 from tubesight.files.nested import plain
 from tubesight.files.safe import write_atomic
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 Progress = Callable[[str, int, int], None]
-"""Called with the study, how many tasks are done and how many there are."""
+"""Called with what the tasks are of, how many are done and how many there are."""
 
 
 class Remembered:
@@ -28,29 +30,69 @@ class Remembered:
     ----------
     folder
         Holds one JSON file a task, named by function, task and source of the package: other code, other results.
-        Studies that have a task in common share it.
+        Batches that have a task in common share it.
     pool
         Does what is not there yet.
+    progress
+        Called before the first task and after each.
+    holds
+        Whether a result that was kept is still good, where it speaks of more than itself, such as of files; one that
+        is not is made again.
     """
 
-    def __init__(self, folder: Path, pool: Pool, progress: Progress = lambda study, done, total: None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        pool: Pool,
+        progress: Progress = lambda batch, done, total: None,
+        holds: Callable[[Any], bool] = lambda result: True,
+    ) -> None:
         self._folder = folder
         self._pool = pool
         self._progress = progress
+        self._holds = holds
 
-    def __call__(self, study: str, function: Callable[[Task], Result], tasks: Sequence[Task]) -> list[Result]:
-        """Return results in the order of the tasks, see `tubesight.apps.reproduce.study.Context.map`."""
+    def __call__(self, batch: str, function: Callable[[Task], Result], tasks: Sequence[Task]) -> list[Result]:
+        """Return results in the order of the tasks, as JSON gives them back.
+
+        Parameters
+        ----------
+        batch
+            What the tasks are of, for `progress`.
+        function
+            Of a module's top level: it is sent to other processes. Equal tasks have to give equal results.
+        tasks
+            Frozen dataclasses of plain data and paths.
+        """
         paths = [self._folder / f"{_key(function, task)}.json" for task in tasks]
-        results = {i: json.loads(path.read_bytes()) for i, path in enumerate(paths) if path.is_file()}
-        self._progress(study, len(results), len(tasks))
+        results = {}
+        for i, path in enumerate(paths):
+            try:
+                result = json.loads(path.read_bytes())
+            except (OSError, ValueError):
+                # Not there yet, or damaged.
+                continue
+            if self._holds(result):
+                results[i] = result
+        self._progress(batch, len(results), len(tasks))
         missing = [i for i in range(len(tasks)) if i not in results]
         for done, result in self._pool(function, [tasks[i] for i in missing]):
             # Fresh results go through JSON as kept ones do, so that both are equal.
             text = json.dumps(plain(result))
             write_atomic(paths[missing[done]], text)
             results[missing[done]] = json.loads(text)
-            self._progress(study, len(results), len(tasks))
+            self._progress(batch, len(results), len(tasks))
         return [cast(Result, results[i]) for i in range(len(tasks))]
+
+
+def forget(folder: Path) -> None:
+    """Remove the folder of a `Remembered`, where there is one."""
+    try:
+        shutil.rmtree(folder)
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be removed ({error.strerror}); name another folder with -o") from error
 
 
 def _key(function: Callable[..., object], task: Any) -> str:
