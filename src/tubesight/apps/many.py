@@ -130,18 +130,8 @@ def run_many(
         InputRow(name, str(task.source), **result["row"])
         for name, task, result in zip(names, tasks, found, strict=True)
     )
-    files = tuple(out / name for name in SUMMARIES)
-    _write_table(files[0], rows)
-    about = {
-        "format": "tubesight-runs/1",
-        "version": __version__,
-        "started": started.isoformat(timespec="seconds"),
-        "configuration": options,
-        "machine": machine(),
-        "messages": messages,
-        "inputs": [asdict(row) for row in rows],
-    }
-    write_json(files[1], about)
+    about = {"started": started.isoformat(timespec="seconds"), "configuration": options, "messages": messages}
+    files = _write_summaries(out, rows, about)
     return ManyReport(rows, tuple(messages), files)
 
 
@@ -189,15 +179,19 @@ def _digest(path: Path) -> str:
         return ""
 
 
-def _write_table(path: Path, rows: Sequence[InputRow]) -> None:
+def _write_summaries(out: Path, rows: Sequence[InputRow], about: Mapping[str, Any]) -> tuple[Path, ...]:
+    """Write the table and its JSON."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(asdict(rows[0])), lineterminator="\n")
     writer.writeheader()
     for row in rows:
-        cells = asdict(row) | {"status": statuses(row)}
-        cells["median_ms"] = f"{row.median_ms:.7g}" if math.isfinite(row.median_ms) else ""
-        writer.writerow(cells)
-    write_atomic(path, text.getvalue())
+        time = f"{row.median_ms:.7g}" if math.isfinite(row.median_ms) else ""
+        writer.writerow(asdict(row) | {"status": statuses(row), "median_ms": time})
+    table, data = (out / name for name in SUMMARIES)
+    write_atomic(table, text.getvalue())
+    head = {"format": "tubesight-runs/1", "version": __version__, **about, "machine": machine()}
+    write_json(data, head | {"inputs": [asdict(row) for row in rows]})
+    return table, data
 
 
 def statuses(row: InputRow) -> str:

@@ -10,25 +10,31 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tubesight.cli.places import places_of
+from tubesight.cli.spread_options import Resume, Scheduler, Workers
 
 if TYPE_CHECKING:
     from tubesight.apps.many import ManyReport
     from tubesight.apps.run import RunOptions, RunReport
     from tubesight.files.tables import ShapeRow
 
+_Inputs = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="FOLDER|RECORDING...",
+        help="Data sets, one subfolder of pictures per camera, and recordings (`.mcap`).",
+        show_default=False,
+    ),
+]
+_Base = Annotated[
+    list[str] | None,
+    typer.Option("--base", metavar="CAMERA:X,Y ...", help="Pixel of the tube's base in each camera."),
+]
 # A longer table is for the file, not for the screen.
 _ROWS_SHOWN = 40
 
 
 def command(
-    inputs: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="FOLDER|RECORDING...",
-            help="Data sets, one subfolder of pictures per camera, and recordings (`.mcap`).",
-            show_default=False,
-        ),
-    ] = None,
+    inputs: _Inputs = None,
     rig: Annotated[Path | None, typer.Option("--rig", help="The cameras: `rig.yaml` of calibrate or register.")] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder for the results; made where there is none.")
@@ -41,23 +47,16 @@ def command(
     background: Annotated[
         Path | None, typer.Option("--background", help="Pictures without the tube, one subfolder per camera.")
     ] = None,
-    base: Annotated[
-        list[str] | None,
-        typer.Option("--base", metavar="CAMERA:X,Y ...", help="Pixel of the tube's base in each camera."),
-    ] = None,
+    base: _Base = None,
     overlay: Annotated[
         bool | None, typer.Option("--overlay/--no-overlay", help="Draw what was found on the photographs.")
     ] = None,
     stages: Annotated[
         bool | None, typer.Option("--stages/--no-stages", help="Draw what each stage made of the photographs.")
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option("--workers", min=1, help="Processes over many inputs; one a core without it.")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="A Dask scheduler whose workers do the work.")
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    resume: Resume = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone.")] = False,
 ) -> None:
     """Measure the shape in every pair of pictures.
@@ -74,10 +73,6 @@ def command(
 
         tubesight run monday tuesday session.mcap --rig rig.yaml -o results
     """
-    from tubesight.apps.many_tasks import is_recording
-    from tubesight.apps.pool import usable_cores
-    from tubesight.apps.run import RunOptions
-
     places = places_of(base or [])
     if method is not None:
         refuse_unknown(method)
@@ -92,11 +87,19 @@ def command(
         "stages": stages,
     }
     given, sources = _given(config, {name: value for name, value in named.items() if value is not None}, inputs or ())
-    if len(sources) > 1 or is_recording(sources[0]) or workers or scheduler or resume:
-        complete = _many(sources, given, json, workers=workers or usable_cores(), scheduler=scheduler, resume=resume)
-    else:
-        complete = _one(RunOptions(folder=sources[0], **given), json)
-    raise typer.Exit(0 if complete else 1)
+    spread = {"workers": workers, "scheduler": scheduler, "resume": resume}
+    raise typer.Exit(0 if _measure(sources, given, spread, json) else 1)
+
+
+def _measure(sources: Sequence[Path], given: dict[str, Any], spread: dict[str, Any], json: bool) -> bool:
+    """Measure one data set into OUT itself, anything else into folders below it; whether nothing was wrong."""
+    from tubesight.apps.many_tasks import is_recording
+    from tubesight.apps.pool import usable_cores
+    from tubesight.apps.run import RunOptions
+
+    if len(sources) > 1 or is_recording(sources[0]) or any(spread.values()):
+        return _many(sources, given, json, **spread | {"workers": spread["workers"] or usable_cores()})
+    return _one(RunOptions(folder=sources[0], **given), json)
 
 
 def _given(config: Path | None, named: dict[str, Any], inputs: Sequence[Path]) -> tuple[dict[str, Any], list[Path]]:
@@ -130,7 +133,6 @@ def refuse_unknown(method: str) -> None:
 
 
 def _one(options: RunOptions, json: bool) -> bool:
-    """Measure one data set into OUT itself."""
     from tubesight.apps.run import run_folder
     from tubesight.cli.calibrate import bar
 
@@ -141,7 +143,6 @@ def _one(options: RunOptions, json: bool) -> bool:
 
 
 def _many(sources: Sequence[Path], given: dict[str, Any], json: bool, **spread: Any) -> bool:
-    """Measure each input into a folder below OUT."""
     from tubesight.apps.many import run_many
     from tubesight.cli.calibrate import bar
 
