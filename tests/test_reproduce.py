@@ -21,7 +21,7 @@ from tubesight.apps.pool import open_pool
 from tubesight.apps.remembered import Remembered
 from tubesight.apps.reproduce import disturbed, drawing, experiment, experiment1, experiment2, sensitivity
 from tubesight.apps.reproduce.cases import ADVICE, cases
-from tubesight.apps.reproduce.disturbed import Disturbed, Look
+from tubesight.apps.reproduce.disturbed import Disturbed, Look, Told
 from tubesight.apps.reproduce.mockup import phantom_of, true_rig
 from tubesight.apps.reproduce.registry import STUDIES, study
 from tubesight.apps.reproduce.runner import reproduce
@@ -30,7 +30,7 @@ from tubesight.apps.reproduce.shots import ERRORS, METHODS, Shot, measured, stat
 from tubesight.apps.reproduce.study import Context
 from tubesight.cli.main import app, main
 from tubesight.core import Image, InputError
-from tubesight.simulate import truth
+from tubesight.simulate import rig_around, truth
 
 ROOT = Path(__file__).resolve().parents[1]
 NUMBERS = range(8)
@@ -247,12 +247,21 @@ class TestDisturbed:
 
     def test_a_wrong_diameter_is_told_to_the_methods(self) -> None:
         small = Look(size_px=(960, 540))
-        right, wrong = (
-            disturbed.measured_disturbed(Disturbed(small, 50.0, 1.0, 60.0, 1, diameter_error_mm=d)) for d in (0.0, 0.3)
-        )
+        told = (Told(), Told(diameter_error_mm=0.3))
+        right, wrong = disturbed.measured_disturbed(Disturbed(small, 50.0, 1.0, 60.0, 1, told))
         assert [row["method"] for row in right] == list(METHODS)
         # The reference uses the diameter for nothing but its start; the fit believes it.
         assert right[-1]["tip_z_error_mm"] != wrong[-1]["tip_z_error_mm"]
+
+    def test_photographs_are_shared_and_change_nothing(self) -> None:
+        """What is measured beside something else is measured as alone."""
+        small = Look(size_px=(640, 360))
+        rig = PlainRig.of(rig_around(size_px=small.size_px))
+        told = (Told(), Told(diameter_error_mm=-0.1), Told(rig))
+        together = disturbed.measured_disturbed(Disturbed(small, 30.0, 1.0, 60.0, 1, told))
+        for alone, rows in zip(told, together, strict=True):
+            assert [rows] == disturbed.measured_disturbed(Disturbed(small, 30.0, 1.0, 60.0, 1, (alone,)))
+        assert together[0] != together[1]
 
 
 def test_every_cause_has_advice_and_every_case_a_name() -> None:
