@@ -8,7 +8,7 @@ import io
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
@@ -182,7 +182,7 @@ def _digest(path: Path) -> str:
 def _write_summaries(out: Path, rows: Sequence[InputRow], about: Mapping[str, Any]) -> tuple[Path, ...]:
     """Write the table and its JSON."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, list(asdict(rows[0])), lineterminator="\n")
+    writer = csv.DictWriter(text, [column.name for column in fields(InputRow)], lineterminator="\n")
     writer.writeheader()
     for row in rows:
         time = f"{row.median_ms:.7g}" if math.isfinite(row.median_ms) else ""
