@@ -155,7 +155,7 @@ def test_what_changed_is_measured_again_and_so_is_what_failed(data: Path, tmp_pa
     assert kept(resume=True) == 2
     (tmp_path / NAMES[0] / "shapes.csv").unlink()
     assert kept(resume=True) == 2
-    next((tmp_path / ".cache").iterdir()).write_bytes(b"{cut of")
+    next((tmp_path / ".tubesight").iterdir()).write_bytes(b"{cut of")
     assert kept(resume=True) in (2, 3)
     os.utime(data / "tube.yaml", ns=(1, 1))
     assert kept(resume=True) == 1, "the tube is of both folders"
@@ -171,7 +171,7 @@ def test_what_changed_is_measured_again_and_so_is_what_failed(data: Path, tmp_pa
         (["/a/x", "/b/X.mcap"], ["a-x", "b-X"]),
         (["/a/x", "/a/x.mcap"], ["x", "x.mcap"]),
         (["/a/run.1", "/a/run.2"], ["run.1", "run.2"]),
-        (["/a/summary.csv", "/a/.cache"], ["a-summary.csv", "a-.cache"]),
+        (["/a/summary.csv", "/a/.tubesight"], ["a-summary.csv", "a-.tubesight"]),
         (["/x", "/a/x", "/a-x"], None),
         (["/a/x", "/a/X"], None),
         (["/"], None),

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 import reproduce_tasks as tasks
 from reproduce_tasks import Number
 from tubesight.apps.pool import open_pool
-from tubesight.apps.remembered import Remembered
+from tubesight.apps.remembered import Remembered, forget
 from tubesight.apps.reproduce import disturbed, drawing, experiment, experiment1, experiment2, sensitivity
 from tubesight.apps.reproduce.cases import ADVICE, cases
 from tubesight.apps.reproduce.disturbed import Disturbed, Look, Told
@@ -76,6 +76,18 @@ def test_other_tasks_and_other_code_are_not_mixed_up(calls: Path, monkeypatch: p
         monkeypatch.setattr("tubesight.apps.remembered._source", lambda: "changed")
         spread("study", tasks.third, numbers(calls)[:1])
     assert len(list(calls.iterdir())) == 3
+
+
+def test_only_what_was_kept_is_forgotten(calls: Path) -> None:
+    """A folder of results may hold a `cache` of somebody else's."""
+    cache = calls.parent / "cache"
+    forget(cache)
+    with open_pool(1) as pool:
+        Remembered(cache, pool)("study", tasks.third, numbers(calls)[:2])
+    (cache / "mine.json").write_text("{}")
+    assert len(list(cache.iterdir())) == 3
+    forget(cache)
+    assert [path.name for path in cache.iterdir()] == ["mine.json"]
 
 
 def test_workers_end_with_a_parent_that_is_killed(calls: Path) -> None:

@@ -16,7 +16,7 @@ from tubesight.core import InputError
 from tubesight.geometry.rig import Rig
 
 # Beside the folders of the results; the dot keeps it out of their way and out of listings.
-CACHE = ".cache"
+CACHE = ".tubesight"
 # A table and its JSON.
 SUMMARIES = ("summary.csv", "summary.json")
 

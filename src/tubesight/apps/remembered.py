@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cache
@@ -19,6 +19,9 @@ from tubesight.files.safe import write_atomic
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+# Hexadecimal digits of a task's name: 128 bits are equal for no two tasks.
+_DIGITS = 32
+_NAME = re.compile(rf"[0-9a-f]{{{_DIGITS}}}")
 Progress = Callable[[str, int, int], None]
 """Called with what the tasks are of, how many are done and how many there are."""
 
@@ -86,19 +89,19 @@ class Remembered:
 
 
 def forget(folder: Path) -> None:
-    """Remove the folder of a `Remembered`, where there is one."""
+    """Remove what a `Remembered` kept in a folder, and nothing else: the folder may be of somebody else's making."""
     try:
-        shutil.rmtree(folder)
-    except FileNotFoundError:
-        pass
+        for path in folder.glob("*.json"):
+            if _NAME.fullmatch(path.stem):
+                path.unlink()
     except OSError as error:
-        raise InputError(f"{folder}: cannot be removed ({error.strerror}); name another folder with -o") from error
+        raise InputError(f"{folder}: cannot be emptied ({error.strerror}); name another folder with -o") from error
 
 
 def _key(function: Callable[..., object], task: Any) -> str:
     """Name of a task's file."""
     parts = (_source(), function.__module__, function.__qualname__, json.dumps(plain(asdict(task)), sort_keys=True))
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:_DIGITS]
 
 
 @cache
