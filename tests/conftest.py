@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -64,3 +64,15 @@ def simulated_pair() -> Callable[..., SimulatedPair]:
         return _simulate(phantom, tube, scene or Scene(), angle_deg, size_px, name)
 
     return simulate
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    """A Dask cluster of two worker processes on this machine; one that dies is started again."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+    ) as made:
+        yield made
+        # A worker that is being started again cannot be closed.
+        made.wait_for_workers(2, timeout=30)

@@ -1,4 +1,4 @@
-"""Tasks for the tests of `tubesight reproduce`: other processes import them from here by name."""
+"""Tasks for the tests of what is spread over processes: other processes import them from here by name."""
 
 import os
 import signal
@@ -37,3 +37,20 @@ def fatal(task: Number) -> float:
         os.kill(os.getpid(), signal.SIGKILL)
     time.sleep(0.05)
     return task.value**2
+
+
+def deadly(task: Number) -> None:
+    """Kill the process that does it."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def slow_but_first(task: Number) -> None:
+    """Be done, the first one, when the others have begun what takes half a minute."""
+    folder = Path(task.folder)
+    if task.value == 0:
+        while not (folder / "started").exists():
+            time.sleep(0.01)
+        return
+    (folder / "started").touch()
+    time.sleep(30.0)
+    (folder / "ended").touch()

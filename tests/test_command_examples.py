@@ -54,7 +54,8 @@ def prepare() -> None:
         shutil.copytree(demo / "data" / name, name)
     shutil.copytree(demo / "data" / "registration", "today")
     for camera in ("left", "right"):
-        shutil.copytree(demo / "data" / camera, Path("photos") / camera)
+        for folder in (Path("photos"), Path("monday") / "photos", Path("tuesday") / "photos"):
+            shutil.copytree(demo / "data" / camera, folder / camera)
     for name in ("registration.yaml", "tube.yaml", "truth.json"):
         shutil.copy(demo / "data" / name, name)
     rig = load_rig(demo / "data" / "rig_true.yaml").rig

@@ -17,13 +17,12 @@ import numpy as np
 import pytest
 
 from http_cameras import jpeg
-from live_scenes import SIZE, picture, small_rig, wanted
+from live_scenes import SIZE, configuration, measured_moments, picture, record, wanted
 from tubesight.apps.live.export import FORMATS, export
 from tubesight.apps.live.recover import recover
 from tubesight.apps.live.replay import replay, replay_file, sensor_of
 from tubesight.core import Frame, InputError
 from tubesight.files.recording import (
-    FORMAT,
     RecordedPicture,
     RecordedResult,
     Recording,
@@ -31,16 +30,12 @@ from tubesight.files.recording import (
     decoded_image,
     read_messages,
 )
-from tubesight.files.rig import rig_from_text, rig_text
 from tubesight.files.tables import read_curves, read_shapes
-from tubesight.files.tube import tube_from_text, tube_text
 from tubesight.outputs import mcap_file
 from tubesight.outputs.mcap_file import McapFile
 from tubesight.outputs.publish import Mailbox
 from tubesight.outputs.recorder import Recorder
-from tubesight.sensor import ShapeSensor
 from tubesight.sources.opening import open_source
-from tubesight.sources.simulated import SIM_TUBE
 from tubesight.tracking.pairing import Matched
 from tubesight.tracking.tracker import Tracked, Tracker
 from tubesight.tracking.watch import CameraFault
@@ -52,41 +47,12 @@ PAIRS = 6
 @pytest.fixture(scope="module")
 def session() -> list[Tracked]:
     """Six pairs measured, a fault, and its end."""
-    rig = rig_from_text(rig_text(small_rig()), Path("rig")).rig
-    tube = tube_from_text(tube_text(SIM_TUBE), Path("tube"))
-    sensor, tracker = ShapeSensor(rig, tube), Tracker(filtered=True)
-    moments = []
-    for k in range(PAIRS):
-        frames = {n: Frame(n, picture(n, k), 100 + k / 30 + 0.001 * (n == "right"), k) for n in rig.names}
-        matched = Matched(MappingProxyType(frames), 100 + k / 30, 0.001)
-        moments.append(tracker.step(sensor(matched.pair(str(k))), matched))
+    tracker = Tracker(filtered=True)
+    moments = measured_moments(PAIRS, tracker)
     fault = tracker.watch({"left": CameraFault.FROZEN}, 101.0)
     back = tracker.watch({}, 102.0)
     assert fault is not None and back is not None
     return [*moments, fault, back]
-
-
-def configuration(pictures: str = "lossless", every: int = 1) -> dict[str, Any]:
-    return {
-        "format": FORMAT,
-        "rig": rig_text(small_rig()),
-        "tube": tube_text(SIM_TUBE),
-        "method": "silhouette",
-        "base_px": {},
-        "backgrounds": {},
-        "gray": True,
-        "filtered": True,
-        "pictures": pictures,
-        "every": every,
-    }
-
-
-def record(path: Path, moments: list[Tracked], pictures: str = "lossless", every: int = 1) -> dict[str, Any]:
-    recorder = Recorder(McapFile(path), configuration(pictures, every), pictures, every)
-    for moment in moments:
-        recorder.publish(moment)
-    recorder.close()
-    return recorder.state()
 
 
 @pytest.fixture(scope="module")

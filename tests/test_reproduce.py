@@ -18,19 +18,19 @@ from typer.testing import CliRunner
 import reproduce_tasks as tasks
 from reproduce_tasks import Number
 from tubesight.apps.pool import open_pool
+from tubesight.apps.remembered import Remembered, forget
 from tubesight.apps.reproduce import disturbed, drawing, experiment, experiment1, experiment2, sensitivity
 from tubesight.apps.reproduce.cases import ADVICE, cases
-from tubesight.apps.reproduce.disturbed import Disturbed, Look
+from tubesight.apps.reproduce.disturbed import Disturbed, Look, Told
 from tubesight.apps.reproduce.mockup import phantom_of, true_rig
 from tubesight.apps.reproduce.registry import STUDIES, study
 from tubesight.apps.reproduce.runner import reproduce
 from tubesight.apps.reproduce.session import PlainRig, Session, calibrated
 from tubesight.apps.reproduce.shots import ERRORS, METHODS, Shot, measured, statistics
-from tubesight.apps.reproduce.spread import Remembered
 from tubesight.apps.reproduce.study import Context
 from tubesight.cli.main import app, main
 from tubesight.core import Image, InputError
-from tubesight.simulate import truth
+from tubesight.simulate import rig_around, truth
 
 ROOT = Path(__file__).resolve().parents[1]
 NUMBERS = range(8)
@@ -73,9 +73,21 @@ def test_other_tasks_and_other_code_are_not_mixed_up(calls: Path, monkeypatch: p
         spread = Remembered(calls.parent / "cache", pool)
         spread("study", tasks.third, numbers(calls)[:1])
         spread("study", tasks.third, [Number(1e-9, str(calls))])
-        monkeypatch.setattr("tubesight.apps.reproduce.spread._source", lambda: "changed")
+        monkeypatch.setattr("tubesight.apps.remembered._source", lambda: "changed")
         spread("study", tasks.third, numbers(calls)[:1])
     assert len(list(calls.iterdir())) == 3
+
+
+def test_only_what_was_kept_is_forgotten(calls: Path) -> None:
+    """A folder of results may hold a `cache` of somebody else's."""
+    cache = calls.parent / "cache"
+    forget(cache)
+    with open_pool(1) as pool:
+        Remembered(cache, pool)("study", tasks.third, numbers(calls)[:2])
+    (cache / "mine.json").write_text("{}")
+    assert len(list(cache.iterdir())) == 3
+    forget(cache)
+    assert [path.name for path in cache.iterdir()] == ["mine.json"]
 
 
 def test_workers_end_with_a_parent_that_is_killed(calls: Path) -> None:
@@ -111,17 +123,27 @@ def test_a_killed_process_is_told_in_one_line(calls: Path) -> None:
 
 
 @pytest.mark.filterwarnings("default")
-def test_a_cluster_survives_the_death_of_a_worker(calls: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
-        ) as cluster,
-        open_pool(1, cluster.scheduler_address) as pool,
-    ):
+def test_a_cluster_survives_the_death_of_a_worker(calls: Path, cluster: Any) -> None:
+    with open_pool(1, cluster.scheduler_address) as pool:
         results = Remembered(calls.parent / "cache", pool)("study", tasks.fatal, numbers(calls))
     assert (calls / "killed").exists()
     assert results == [value**2 for value in NUMBERS]
+
+
+@pytest.mark.filterwarnings("default")
+def test_a_task_that_kills_its_workers_is_told_in_one_line(calls: Path, cluster: Any) -> None:
+    # Dask tries three more workers; starting them takes the time of this test.
+    cluster.scheduler.allowed_failures = 0
+    with open_pool(1, cluster.scheduler_address) as pool, pytest.raises(InputError, match="memory") as caught:
+        list(pool(tasks.deadly, numbers(calls)[:1]))
+    assert "\n" not in str(caught.value)
+
+
+def test_an_interruption_does_not_wait_for_tasks_that_run(calls: Path) -> None:
+    with pytest.raises(KeyboardInterrupt), open_pool(2) as pool:
+        for _ in pool(tasks.slow_but_first, numbers(calls)[:2]):
+            raise KeyboardInterrupt
+    assert [path.name for path in calls.iterdir()] == ["started"]
 
 
 def test_no_scheduler_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -237,12 +259,21 @@ class TestDisturbed:
 
     def test_a_wrong_diameter_is_told_to_the_methods(self) -> None:
         small = Look(size_px=(960, 540))
-        right, wrong = (
-            disturbed.measured_disturbed(Disturbed(small, 50.0, 1.0, 60.0, 1, diameter_error_mm=d)) for d in (0.0, 0.3)
-        )
+        told = (Told(), Told(diameter_error_mm=0.3))
+        right, wrong = disturbed.measured_disturbed(Disturbed(small, 50.0, 1.0, 60.0, 1, told))
         assert [row["method"] for row in right] == list(METHODS)
         # The reference uses the diameter for nothing but its start; the fit believes it.
         assert right[-1]["tip_z_error_mm"] != wrong[-1]["tip_z_error_mm"]
+
+    def test_photographs_are_shared_and_change_nothing(self) -> None:
+        """What is measured beside something else is measured as alone."""
+        small = Look(size_px=(640, 360))
+        rig = PlainRig.of(rig_around(size_px=small.size_px))
+        told = (Told(), Told(diameter_error_mm=-0.1), Told(rig))
+        together = disturbed.measured_disturbed(Disturbed(small, 30.0, 1.0, 60.0, 1, told))
+        for alone, rows in zip(told, together, strict=True):
+            assert [rows] == disturbed.measured_disturbed(Disturbed(small, 30.0, 1.0, 60.0, 1, (alone,)))
+        assert together[0] != together[1]
 
 
 def test_every_cause_has_advice_and_every_case_a_name() -> None:

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from tubesight.apps.pool import open_pool
+from tubesight.apps.remembered import Remembered
 from tubesight.apps.reproduce import noisy_points, table1, uncertainty, viewing_angle
 from tubesight.apps.reproduce.batch import circles, clamped_arcs, ellipses, elliptic_arcs, nearest_depths, parabolas
 from tubesight.apps.reproduce.cone_choice import RULES, Choices, chosen
 from tubesight.apps.reproduce.edge_trials import INDEPENDENT, Trial, column, rms, tried
 from tubesight.apps.reproduce.mockup import LENGTH_MM, true_rig
 from tubesight.apps.reproduce.noisy_points import ESTIMATORS, bound, cone_points, draw_points, estimate
-from tubesight.apps.reproduce.spread import Remembered
 from tubesight.apps.reproduce.study import Context, StudyResult
 from tubesight.geometry.arcs import clamped_arc, free_arc, free_ellipse
 from tubesight.geometry.cone import Cone, nearest_depth

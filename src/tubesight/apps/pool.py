@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, wait
 from threading import Thread
 from typing import Any, Protocol, TypeVar
 
@@ -45,7 +46,7 @@ def usable_cores() -> int:
 
 @contextmanager
 def open_pool(workers: int, scheduler: str | None = None) -> Iterator[Pool]:
-    """Open a pool, and close it with all that it started.
+    """Open a pool, and close it with all that it started; after an interruption tasks are left where they are.
 
     Parameters
     ----------
@@ -66,11 +67,19 @@ def open_pool(workers: int, scheduler: str | None = None) -> Iterator[Pool]:
         yield _here
     else:
         # Processes are spawned: a fork would copy the locks of OpenCV's and numba's threads.
-        executor = ProcessPoolExecutor(workers, get_context("spawn"), _quiet_worker)
+        context = get_context("spawn")
+        theirs, ours = context.Pipe(duplex=False)
+        executor = ProcessPoolExecutor(workers, context, _quiet_worker, (theirs,))
         try:
             yield _Processes(executor)
+        except BaseException:
+            # A task may have minutes to go: its process ends now, not when it is done.
+            ours.close()
+            raise
         finally:
             executor.shutdown(cancel_futures=True)
+            ours.close()
+            theirs.close()
 
 
 def _here(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[tuple[int, Result]]:
@@ -78,19 +87,17 @@ def _here(function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator
         yield index, function(task)
 
 
-def _quiet_worker() -> None:
+def _quiet_worker(parent: Connection) -> None:
     """Leave an interruption to the parent, end with it, and leave the other cores to the other workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    Thread(target=_end_with_parent, daemon=True).start()
+    Thread(target=_end_with, args=(parent,), daemon=True).start()
     cv2.setNumThreads(1)
 
 
-def _end_with_parent() -> None:
-    """Wait for the end of the parent: one that is killed cannot tell its workers to stop."""
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+def _end_with(parent: Connection) -> None:
+    """Wait for the other end to close: by hand, or because its process was killed and cannot tell its workers."""
+    wait([parent])
+    os._exit(1)
 
 
 class _Processes:
@@ -127,8 +134,14 @@ def _cluster(address: str) -> Iterator[Pool]:
             # A task whose worker dies is done by another one: Dask sees to that.
             futures = client.map(function, tasks, pure=False)
             index_of = {future.key: index for index, future in enumerate(futures)}
-            for future, result in distributed.as_completed(futures, loop=client.loop, with_results=True):
-                yield index_of[future.key], result
+            try:
+                for future, result in distributed.as_completed(futures, loop=client.loop, with_results=True):
+                    yield index_of[future.key], result
+            except distributed.KilledWorker as error:
+                raise InputError(
+                    f"{address}: a task ended several workers, probably for want of memory; go on with --resume and "
+                    "workers that have more"
+                ) from error
 
         yield pool
 

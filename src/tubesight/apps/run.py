@@ -113,7 +113,7 @@ def run_folder(options: RunOptions, progress: Progress | None = None) -> RunRepo
         If rig, tube, folder or background cannot be used, none of the pairs can be read, or the results cannot be
         written.
     """
-    _refuse_place(options.out)
+    refuse_place(options.out)
     started = datetime.now(UTC)
     sensor, source, messages = sensor_for(options)
     rig, tube = sensor.rig, sensor.tube
@@ -155,20 +155,28 @@ def sensor_for(options: RunOptions) -> tuple[ShapeSensor, FolderSource, list[str
     InputError
         If rig, tube, folder or background cannot be used.
     """
-    rig, tube, messages = _rig_and_tube(options)
+    rig, tube, messages = rig_and_tube(options)
     source = FolderSource(options.folder, rig)
     backgrounds = _backgrounds(options, rig, messages)
-    return ShapeSensor(rig, tube, options.method, backgrounds, _base_px(options, rig)), source, messages
+    base_px: dict[str, Array] = {name: np.array(px, float) for name, px in options.base_px.items()}
+    return ShapeSensor(rig, tube, options.method, backgrounds, base_px), source, messages
 
 
-def _refuse_place(out: Path) -> None:
+def refuse_place(out: Path) -> None:
     """Refuse a place that cannot be written before the work is done, not after."""
     parent = next(p for p in (out, *out.absolute().parents) if p.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK):
         raise InputError(f"{out}: results cannot be written there; name a folder with -o that can be made or written")
 
 
-def _rig_and_tube(options: RunOptions) -> tuple[Rig, Tube, list[str]]:
+def rig_and_tube(options: RunOptions) -> tuple[Rig, Tube, list[str]]:
+    """Read rig and tube of a run, and say what is assumed.
+
+    Raises
+    ------
+    InputError
+        If they cannot be used to measure.
+    """
     rig = load_rig(options.rig_path).rig
     lacking = [name for name in rig.names if name not in rig.camera_from_base]
     if lacking:
@@ -178,6 +186,11 @@ def _rig_and_tube(options: RunOptions) -> tuple[Rig, Tube, list[str]]:
         )
     if len(rig.names) < 2:
         raise InputError(f"{options.rig_path}: a 3-D shape needs two cameras, the rig has one; add a second camera")
+    for name in options.base_px:
+        if name not in rig.names:
+            raise InputError(
+                f"{options.rig_path}: --base names camera {name!r}, but the rig has {', '.join(rig.names)}"
+            )
     messages: list[str] = []
     tube = tube_for(options.tube_path, rig, messages)
     if len(options.base_px) > 1 and tube.clamped:
@@ -223,15 +236,6 @@ def _backgrounds(options: RunOptions, rig: Rig, messages: list[str]) -> dict[str
     if found:
         messages.append(f"background pictures of {', '.join(found)} from {folder}")
     return found
-
-
-def _base_px(options: RunOptions, rig: Rig) -> dict[str, Array]:
-    for name in options.base_px:
-        if name not in rig.names:
-            raise InputError(
-                f"{options.rig_path}: --base names camera {name!r}, but the rig has {', '.join(rig.names)}"
-            )
-    return {name: np.array(px, float) for name, px in options.base_px.items()}
 
 
 def _write_overlay(out: Path, pair: FramePair, result: Reconstruction, rig: Rig) -> Path:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from tubesight.apps.reproduce.registry import STUDIES
+from tubesight.cli.spread_options import Resume, Scheduler, Workers
 
 
 def command(
@@ -16,13 +17,9 @@ def command(
     ] = None,
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder for report, data and figures.")] = Path("reproduced"),
     quick: Annotated[bool, typer.Option("--quick", help="Coarse steps: minutes instead of most of an hour.")] = False,
-    workers: Annotated[
-        int | None, typer.Option("--workers", min=1, help="Processes; as many as there are cores without it.")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option("--scheduler", metavar="ADDRESS", help="A Dask scheduler whose workers do the work.")
-    ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    resume: Resume = False,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of all that is random.")] = 0,
 ) -> None:
     """Repeat the figures and tables of Dalvand, Nahavandi and Howe (2016) on rendered photographs.

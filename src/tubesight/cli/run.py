@@ -10,19 +10,31 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tubesight.cli.places import places_of
+from tubesight.cli.spread_options import Resume, Scheduler, Workers
 
 if TYPE_CHECKING:
+    from tubesight.apps.many import ManyReport
     from tubesight.apps.run import RunOptions, RunReport
     from tubesight.files.tables import ShapeRow
 
+_Inputs = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="FOLDER|RECORDING...",
+        help="Data sets, one subfolder of pictures per camera, and recordings (`.mcap`).",
+        show_default=False,
+    ),
+]
+_Base = Annotated[
+    list[str] | None,
+    typer.Option("--base", metavar="CAMERA:X,Y ...", help="Pixel of the tube's base in each camera."),
+]
 # A longer table is for the file, not for the screen.
 _ROWS_SHOWN = 40
 
 
 def command(
-    folder: Annotated[
-        Path | None, typer.Argument(help="Data set: one subfolder of pictures per camera.", show_default=False)
-    ] = None,
+    inputs: _Inputs = None,
     rig: Annotated[Path | None, typer.Option("--rig", help="The cameras: `rig.yaml` of calibrate or register.")] = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder for the results; made where there is none.")
@@ -35,16 +47,16 @@ def command(
     background: Annotated[
         Path | None, typer.Option("--background", help="Pictures without the tube, one subfolder per camera.")
     ] = None,
-    base: Annotated[
-        list[str] | None,
-        typer.Option("--base", metavar="CAMERA:X,Y ...", help="Pixel of the tube's base in each camera."),
-    ] = None,
+    base: _Base = None,
     overlay: Annotated[
         bool | None, typer.Option("--overlay/--no-overlay", help="Draw what was found on the photographs.")
     ] = None,
     stages: Annotated[
         bool | None, typer.Option("--stages/--no-stages", help="Draw what each stage made of the photographs.")
     ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    resume: Resume = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON alone.")] = False,
 ) -> None:
     """Measure the shape in every pair of pictures.
@@ -55,12 +67,16 @@ def command(
         tubesight run photos --rig rig.yaml --tube tube.yaml -o results --overlay
 
         tubesight run --config run.yaml
+
+    Several data sets, or recordings, are measured side by side, each into a folder of its name below OUT, with a
+    summary of all; so is one data set with `--workers`, `--scheduler` or `--resume`.
+
+        tubesight run monday tuesday session.mcap --rig rig.yaml -o results
     """
     places = places_of(base or [])
     if method is not None:
         refuse_unknown(method)
     named = {
-        "folder": folder,
         "rig_path": rig,
         "out": out,
         "tube_path": tube,
@@ -70,26 +86,41 @@ def command(
         "overlay": overlay,
         "stages": stages,
     }
-    options = _options(config, {name: value for name, value in named.items() if value is not None})
-    report = _run(options)
-    _print(report, options.out, json)
-    raise typer.Exit(0 if report.complete else 1)
+    given, sources = _given(config, {name: value for name, value in named.items() if value is not None}, inputs or ())
+    spread = {"workers": workers, "scheduler": scheduler, "resume": resume}
+    raise typer.Exit(0 if _measure(sources, given, spread, json) else 1)
 
 
-def _options(config: Path | None, named: dict[str, Any]) -> RunOptions:
-    """Options of the file, those of the command line over them; wrong usage where one that has to be is in neither."""
+def _measure(sources: Sequence[Path], given: dict[str, Any], spread: dict[str, Any], json: bool) -> bool:
+    """Measure one data set into OUT itself, anything else into folders below it; whether nothing was wrong."""
+    from tubesight.apps.many_tasks import is_recording
+    from tubesight.apps.pool import usable_cores
     from tubesight.apps.run import RunOptions
+
+    if len(sources) > 1 or is_recording(sources[0]) or any(spread.values()):
+        return _many(sources, given, json, **spread | {"workers": spread["workers"] or usable_cores()})
+    return _one(RunOptions(folder=sources[0], **given), json)
+
+
+def _given(config: Path | None, named: dict[str, Any], inputs: Sequence[Path]) -> tuple[dict[str, Any], list[Path]]:
+    """Options of the file, those of the command line over them; wrong usage where one that has to be is in neither.
+
+    The inputs come apart from the options.
+    """
+    from tubesight.apps.many_tasks import is_recording
     from tubesight.apps.run_config import load_run_config
 
     given = (load_run_config(config) if config is not None else {}) | named
-    for name, hint, kind in (
-        ("folder", "FOLDER", "argument"),
-        ("rig_path", "--rig", "option"),
-        ("out", "--out", "option"),
+    folder = given.pop("folder", None)
+    sources = list(inputs) or ([folder] if folder is not None else [])
+    for name, lacks, hint, kind in (
+        ("folder", not sources, "FOLDER", "argument"),
+        ("rig_path", "rig_path" not in given and not all(map(is_recording, sources)), "--rig", "option"),
+        ("out", "out" not in given, "--out", "option"),
     ):
-        if name not in given:
+        if lacks:
             raise typer.BadParameter(f"Missing {kind}; give it here or as {name!r} in --config", param_hint=hint)
-    return RunOptions(**given)
+    return given, sources
 
 
 def refuse_unknown(method: str) -> None:
@@ -101,17 +132,25 @@ def refuse_unknown(method: str) -> None:
         raise typer.BadParameter(unknown_name("method", method, METHODS), param_hint="--method")
 
 
-def _run(options: RunOptions) -> RunReport:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
+def _one(options: RunOptions, json: bool) -> bool:
     from tubesight.apps.run import run_folder
-    from tubesight.cli.console import stderr
+    from tubesight.cli.calibrate import bar
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = stderr()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("pairs", total=None)
-        return run_folder(options, lambda done, total: bar.update(task, completed=done, total=total))
+    with bar() as progress:
+        report = run_folder(options, lambda done, total: progress("pairs", done, total))
+    _print(report, options.out, json)
+    return report.complete
+
+
+def _many(sources: Sequence[Path], given: dict[str, Any], json: bool, **spread: Any) -> bool:
+    from tubesight.apps.many import run_many
+    from tubesight.cli.calibrate import bar
+
+    out = given.pop("out")
+    with bar() as progress:
+        report = run_many(sources, out, given, progress=progress, **spread)
+    _print_many(report, out, json)
+    return report.complete
 
 
 def _print(report: RunReport, out: Path, json: bool) -> None:
@@ -145,3 +184,28 @@ def _print_table(rows: Sequence[ShapeRow]) -> None:
             stdout().print(f"{row.frame}: {row.notes}", soft_wrap=True)
     if len(rows) > _ROWS_SHOWN:
         stdout().print(f"... and {len(rows) - _ROWS_SHOWN} more in shapes.csv")
+
+
+def _print_many(report: ManyReport, out: Path, json: bool) -> None:
+    from tubesight.apps.many import statuses
+    from tubesight.cli.console import fixed, remark, stdout, table
+    from tubesight.files.tables import to_json
+
+    remark(report.messages)
+    remark(f"error: {row.name}: {row.problem}" for row in report.rows if row.problem)
+    if json:
+        files = [str(path) for path in report.files]
+        inputs = [asdict(row) for row in report.rows]
+        typer.echo(to_json({"inputs": inputs, "messages": report.messages, "files": files}))
+        return
+    shown = table(("name", "rows by status", "pairs", "ok", "median\n[ms]"), texts=2)
+    for row in report.rows[:_ROWS_SHOWN]:
+        shown.add_row(row.name, statuses(row) or "-", str(row.pairs), str(row.ok), fixed(row.median_ms, 1))
+    stdout().print(shown)
+    if len(report.rows) > _ROWS_SHOWN:
+        stdout().print(f"... and {len(report.rows) - _ROWS_SHOWN} more in summary.csv")
+    pairs, ok = (sum(getattr(row, what) for row in report.rows) for what in ("pairs", "ok"))
+    stdout().print(
+        f"{ok} of {pairs} pairs measured in {len(report.rows)} inputs; results in {out}/, summed up in summary.csv",
+        soft_wrap=True,
+    )

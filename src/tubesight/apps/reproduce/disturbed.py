@@ -13,6 +13,7 @@ from tubesight.apps.reproduce.session import PlainRig
 from tubesight.apps.reproduce.shots import METHODS, Row, errors
 from tubesight.core import Array, FramePair, Image
 from tubesight.geometry.pose import Pose
+from tubesight.geometry.rig import Rig
 from tubesight.sensor import ShapeSensor
 from tubesight.simulate import Phantom, Placed, Scene, render, rig_around
 from tubesight.simulate.scene import Colour, light_from_srgb, srgb_from_light
@@ -59,8 +60,8 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True)
-class Disturbed:
-    """A disturbed photograph of a tube; the task of `measured_disturbed`.
+class Told:
+    """What the methods are told.
 
     Attributes
     ----------
@@ -68,8 +69,22 @@ class Disturbed:
         To measure with; the true one when None.
     diameter_error_mm
         What the stated diameter of the tube is too large.
+    """
+
+    rig: PlainRig | None = None
+    diameter_error_mm: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbed:
+    """A disturbed photograph of a tube; the task of `measured_disturbed`.
+
+    Attributes
+    ----------
     seed
         Of the scene's grain and noise.
+    told
+        The photograph is taken once and measured with each: half of a measurement's time is its photograph.
     """
 
     look: Look
@@ -77,12 +92,11 @@ class Disturbed:
     ratio: float
     orientation_deg: float
     seed: int
-    rig: PlainRig | None = None
-    diameter_error_mm: float = 0.0
+    told: tuple[Told, ...] = (Told(),)
 
 
-def measured_disturbed(shot: Disturbed) -> list[Row]:
-    """Photograph and measure by every method: a row each, see `tubesight.apps.reproduce.shots.errors`."""
+def measured_disturbed(shot: Disturbed) -> list[list[Row]]:
+    """Photograph and measure, for all that is told, by every method: `tubesight.apps.reproduce.shots.errors`."""
     rig = rig_around(size_px=shot.look.size_px)
     images = {}
     for index, name in enumerate(rig.names):
@@ -94,9 +108,13 @@ def measured_disturbed(shot: Disturbed) -> list[Row]:
 
         images[name] = _exposed(take, shot.look, index * shot.look.delay_s)
     pair = through_jpeg(FramePair(images))
-    tube = replace(TUBE, diameter_mm=(TUBE.diameter_mm or 0.0) + shot.diameter_error_mm)
-    measuring, true = rig if shot.rig is None else shot.rig.rig(), _phantom(shot, 0.0)
-    return [{"method": method} | errors(ShapeSensor(measuring, tube, method)(pair), true) for method in METHODS]
+    true = _phantom(shot, 0.0)
+    return [_by_each_method(pair, rig if told.rig is None else told.rig.rig(), told, true) for told in shot.told]
+
+
+def _by_each_method(pair: FramePair, rig: Rig, told: Told, true: Phantom) -> list[Row]:
+    tube = replace(TUBE, diameter_mm=(TUBE.diameter_mm or 0.0) + told.diameter_error_mm)
+    return [{"method": method} | errors(ShapeSensor(rig, tube, method)(pair), true) for method in METHODS]
 
 
 def _phantom(shot: Disturbed, time_s: float) -> Phantom:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tubesight.apps.pool import open_pool
+from tubesight.apps.remembered import Progress, Remembered, forget
 from tubesight.apps.reproduce.drawing import style
 from tubesight.apps.reproduce.registry import STUDIES, study
 from tubesight.apps.reproduce.report import page
-from tubesight.apps.reproduce.spread import Progress, Remembered
 from tubesight.apps.reproduce.study import Context, StudyResult
 from tubesight.core import InputError
 from tubesight.files.safe import unknown_name, write_atomic
@@ -72,7 +71,7 @@ def reproduce(
     if not plots_installed():
         raise InputError("reproduce draws figures, but matplotlib is missing (pip install 'tubesight[plots]')")
     if not resume:
-        _clear(out / "cache")
+        forget(out / "cache")
     results: dict[str, StudyResult] = {}
     report, summary = out / "report.html", out / "summary.json"
     write_json(summary, {})
@@ -83,16 +82,6 @@ def reproduce(
             write_json(summary, {n: r.summary for n, r in results.items() if r.summary})
             write_atomic(report, page(results, _about(quick, seed)))
     return Reproduction(results, report, summary)
-
-
-def _clear(folder: Path) -> None:
-    """Remove the tasks of an earlier run."""
-    try:
-        shutil.rmtree(folder)
-    except FileNotFoundError:
-        pass
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be removed ({error.strerror}); name another folder with -o") from error
 
 
 def _about(quick: bool, seed: int) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from tubesight.apps.reproduce import drawing
 from tubesight.apps.reproduce.cases import ADVICE, Case, cases
 from tubesight.apps.reproduce.distortion import distortion_study
-from tubesight.apps.reproduce.disturbed import Disturbed, measured_disturbed
+from tubesight.apps.reproduce.disturbed import Disturbed, Look, Told, measured_disturbed
 from tubesight.apps.reproduce.mockup import ELLIPSE_DEG, ELLIPSE_RATIO, PAPER_MAX_DEG, PAPER_MAX_MM
 from tubesight.apps.reproduce.session import PlainRig, Session, calibrated
 from tubesight.apps.reproduce.shots import ERRORS, METHODS, Row, statistics
@@ -85,26 +85,39 @@ def _measure(context: Context, chosen: Sequence[Case]) -> list[Row]:
         for repeat in range(repeats)
     ]
     made = context.map(calibrated, [session for _, session in sessions])
-    # Cases with the rig each is measured with; None for a calibration that was refused.
-    rigs: list[tuple[Case, PlainRig | None]] = [(case, None) for case in chosen if case.session is None]
+    # Cases with what the methods are told in each; a calibration that was refused tells nothing.
+    told = [(case, Told(diameter_error_mm=case.diameter_error_mm)) for case in chosen if case.session is None]
     refused: list[Row] = []
     for (case, session), result in zip(sessions, made, strict=True):
         if result["refused"]:
             refused += [_refused(case, session, pose, m) for pose in _poses(context) for m in METHODS]
         else:
-            rigs.append((case, PlainRig.from_plain(result["cameras"])))
+            told.append((case, Told(PlainRig.from_plain(result["cameras"]), case.diameter_error_mm)))
+    return _photographed(context, told) + refused
+
+
+def _photographed(context: Context, told: Sequence[tuple[Case, Told]]) -> list[Row]:
+    """Rows of all poses; cases whose photographs look the same share them."""
+    alike: dict[Look, list[int]] = {}
+    for index, (case, _) in enumerate(told):
+        alike.setdefault(case.look, []).append(index)
     shots = [
-        (case, Disturbed(case.look, *pose, context.seed_of(*pose), rig, case.diameter_error_mm))
-        for case, rig in rigs
+        (indices, pose, Disturbed(look, *pose, context.seed_of(*pose), tuple(told[k][1] for k in indices)))
+        for look, indices in alike.items()
         for pose in _poses(context)
     ]
-    results = context.map(measured_disturbed, [shot for _, shot in shots])
-    rows = [
-        {**_about(case, (shot.bending_deg, shot.ratio, shot.orientation_deg)), **row}
-        for (case, shot), found in zip(shots, results, strict=True)
-        for row in found
+    results = context.map(measured_disturbed, [shot for _, _, shot in shots])
+    found = {
+        (k, pose): rows
+        for (indices, pose, _), by_told in zip(shots, results, strict=True)
+        for k, rows in zip(indices, by_told, strict=True)
+    }
+    return [
+        {**_about(case, pose), **row}
+        for k, (case, _) in enumerate(told)
+        for pose in _poses(context)
+        for row in found[k, pose]
     ]
-    return rows + refused
 
 
 def _about(case: Case, pose: tuple[float, float, float]) -> Row:

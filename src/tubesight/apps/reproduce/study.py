@@ -80,7 +80,7 @@ class StudyResult:
 class Spread(Protocol):
     """Does tasks, on however many processors, and remembers what is done."""
 
-    def __call__(self, study: str, function: Callable[[Task], Result], tasks: Sequence[Task]) -> list[Result]:
+    def __call__(self, batch: str, function: Callable[[Task], Result], tasks: Sequence[Task]) -> list[Result]:
         """Return the results in the order of the tasks."""
         ...
 
