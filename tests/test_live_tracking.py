@@ -70,6 +70,16 @@ def test_a_steady_tube_is_tracked_and_predicted() -> None:
     assert tracked.predicted_tip_mm == pytest.approx([100 * 29 / 30, 0.0, 120.0], abs=0.2)
 
 
+def test_the_family_is_that_of_the_last_good_pair_while_the_tube_is_followed() -> None:
+    tracker = Tracker()
+    assert tracker.family == ""
+    result = measured((0.0, 0.0, 100.0))
+    tracker.step(result, pair(0.0))
+    assert result.curve is not None and tracker.family == result.curve.model
+    tracker.begin_anew()
+    assert tracker.family == ""
+
+
 def test_a_jump_is_doubted_and_not_measured() -> None:
     tracker = Tracker()
     for k in range(10):

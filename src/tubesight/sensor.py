@@ -103,8 +103,15 @@ class ShapeSensor:
         if len(self.base_px) > 1:
             object.__setattr__(self, "tube", replace(self.tube, clamped=False))
 
-    def __call__(self, pair: FramePair) -> Reconstruction:
-        """Photographs -> views -> curve -> shape; a failure on the way becomes the status."""
+    def __call__(self, pair: FramePair, family: str = "") -> Reconstruction:
+        """Photographs -> views -> curve -> shape; a failure on the way becomes the status.
+
+        Parameters
+        ----------
+        family
+            Family of the tube's curve a moment ago (`Curve3D.model`), where that is known: it is kept where the
+            pictures leave the choice open.
+        """
         views: dict[str, View] = {}
         ms: dict[str, float] = {}
         try:
@@ -115,7 +122,7 @@ class ShapeSensor:
                 views = from_mark(views, self.rig, self.base_px)
                 if self.tube.tip.shape == "open":
                     views = to_common_end(views, self.rig)
-                curve = METHODS[self.method].solve(views, self.rig, self.tube)
+                curve = self._solve(views, family)
                 rms = reprojection_rms_px(curve, views, self.rig)
                 shape = shape_of(curve, 3 * self._tip_sd_mm(curve))
         except Unmeasurable as failure:
@@ -126,6 +133,12 @@ class ShapeSensor:
         if np.isnan(shape.orientation_rad):
             notes.append("orientation undefined: the tip lies on the base axis")
         return Reconstruction(pair.name, Status.OK, tuple(notes), shape, curve, views, self.method, rms, ms)
+
+    def _solve(self, views: Mapping[str, View], family: str) -> Curve3D:
+        method = METHODS[self.method]
+        if family and method.solve_again is not None:
+            return method.solve_again(views, self.rig, self.tube, family)
+        return method.solve(views, self.rig, self.tube)
 
     def _see(self, name: str, image: Image) -> View:
         camera = self.rig.cameras[name]

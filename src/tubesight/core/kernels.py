@@ -29,7 +29,7 @@ _SOURCES = (
     "vision/*.py",
 )
 
-# Folders of other states of the sources that no process started with for so long are removed. Starting touches a folder.
+# Folders of other states of the sources are removed when no process started with them for so long (that touches them).
 _KEPT_S = 30 * 86400.0
 
 

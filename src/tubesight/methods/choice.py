@@ -26,6 +26,9 @@ RMS_MAX_PX = 0.6
 # The simplest family whose rms is within this factor of the best one's is taken: residuals on photographs are
 # systematic, so that a criterion for independent noise would take too rich a family.
 _SIMPLEST_WITHIN = 1.35
+# A family that was right a moment ago stays until limits are passed by this factor, and another one comes only so far
+# within them: from frame to frame the rms of one family changes by a tenth.
+_STAYS = 1.15
 # Rms under which families are not compared: shading and compression move edges by this much.
 _RMS_FLOOR_PX = 0.06
 # A family with a smaller rms than this may be right: on photographs the right one leaves 0.03 to 0.2 px, a wrong one
@@ -66,13 +69,15 @@ _BENDS = (_Level("spatial2", "arcs2", "polynomial2"), _Level("spatial4", "arcs3"
 AnyShape = Callable[[], Curve3D | None]
 
 
-def choose_family(problem: Problem, tip: Array, any_shape: AnyShape) -> tuple[Problem, Fit, str]:
+def choose_family(problem: Problem, tip: Array, any_shape: AnyShape, family: str = "") -> tuple[Problem, Fit, str]:
     """Fit families of growing freedom and return the simplest that explains the edges.
 
     Parameters
     ----------
     any_shape
         Finds a curve to start splines from, where no other family explains the edges.
+    family
+        That of the curve a moment ago, if known: limits on the rms are then moved in its favour by `_STAYS`.
 
     Returns
     -------
@@ -88,14 +93,16 @@ def choose_family(problem: Problem, tip: Array, any_shape: AnyShape) -> tuple[Pr
     circle = fit_family(problem, FAMILIES["circle"], _arc_to(problem, tip), RMS_MAX_PX)
     if not math.isfinite(circle.rms_px):
         raise Unmeasurable(Status.NEAR_DEGENERATE, detail="no curve can be fitted to the edges")
+    eased = _eased("circle", family)
     good, noise = circle.rms_px <= _GOOD_PX, min(_GOOD_PX, _NOISE_SD * roughness_px(problem))
-    if circle.rms_px <= _RMS_FLOOR_PX:
+    if circle.rms_px <= eased * _RMS_FLOOR_PX:
         return problem, circle, ""
     # Shapes are nearly linear in the coefficients of a polynomial: a few steps tell what a better family could gain.
     bx, by = circle.parameters[:2]
     plane = np.concatenate([[np.arctan2(by, bx), np.hypot(bx, by), 0.0, 0.0], circle.parameters[2:]])
-    better = fit_family(problem, FAMILIES["polynomial2"], plane, circle.rms_px / _WORTH if good else np.inf, _FEW_STEPS)
-    if circle.rms_px <= noise and better.rms_px > circle.rms_px / _WORTH:
+    challenged_px = circle.rms_px / (eased * _WORTH)
+    better = fit_family(problem, FAMILIES["polynomial2"], plane, challenged_px if good else np.inf, _FEW_STEPS)
+    if circle.rms_px <= noise and better.rms_px > challenged_px:
         return problem, circle, ""
     guess = np.append(ellipse_like(better.parameters[:5]), better.parameters[5:])
     worth = np.inf if better.rms_px <= _PLANE_PX else RMS_MAX_PX
@@ -110,15 +117,20 @@ def choose_family(problem: Problem, tip: Array, any_shape: AnyShape) -> tuple[Pr
     if best > _GOOD_PX:
         general, found = _fit_splines(problem, better, any_shape)
         best, plausible = _best_of(fits | found, problem)
-    chosen = next(fit for fit in sorted(plausible, key=lambda f: f.family.count) if _explains(fit, best))
+    chosen = next(fit for fit in sorted(plausible, key=lambda f: f.family.count) if _explains(fit, best, family))
     return general if chosen.family.name in found else problem, chosen, _why(chosen, fits)
 
 
-def _explains(fit: Fit, best_px: float) -> bool:
+def _eased(name: str, family: str) -> float:
+    """How far limits for a family are eased, as one that was right a moment ago, or tightened, as another one."""
+    return 1.0 if not family else (_STAYS if name == family else 1 / _STAYS)
+
+
+def _explains(fit: Fit, best_px: float, family: str) -> bool:
     """Whether a fit leaves no more than systematic errors of the edges may make of the best one."""
     good_plane = fit.family.name in _PLANE and fit.rms_px <= _GOOD_PX
     within = _PLANE_WITHIN if good_plane else _SIMPLEST_WITHIN
-    return fit.rms_px <= max(within * best_px, _RMS_FLOOR_PX)
+    return fit.rms_px <= max(_eased(fit.family.name, family) * max(within * best_px, _RMS_FLOOR_PX), best_px)
 
 
 def _fit_level(problem: Problem, level: _Level, fits: dict[str, Fit], rough: Fit) -> Fit:

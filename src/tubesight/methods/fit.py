@@ -16,7 +16,7 @@ from tubesight.methods.rays import Problem
 # What a clamp is trusted to: place and direction of the base (standard deviations). On rendered photographs with an
 # exact base the angles of a looser one (0.05) are off by a fifth more; a base that is registered 0.2 mm and 0.3 degrees
 # off doubles the error of a tighter one (0.02).
-_CLAMP_MM, _CLAMP_RAD = 0.03, np.radians(0.03)
+CLAMP_MM, CLAMP_RAD = 0.03, np.radians(0.03)
 # Where a tube without a clamp starts is seen to a few millimetres and tenths of a radian: that keeps a wrong family
 # from wandering off, and weighs nothing beside the edges of the right one.
 _FREE_MM, _FREE_RAD = 5.0, 0.2
@@ -95,7 +95,7 @@ def _priors(family: Family, clamped: bool, open_radius_mm: float | None) -> tupl
     for index, sd in family.soft:
         anchor[index] = sd**-2
     if clamped:
-        anchor[count : count + 2], anchor[count + 2 : count + BASE] = _CLAMP_MM**-2, _CLAMP_RAD**-2
+        anchor[count : count + 2], anchor[count + 2 : count + BASE] = CLAMP_MM**-2, CLAMP_RAD**-2
     else:
         anchor[count : count + 2], anchor[count + 2 : count + BASE] = _FREE_MM**-2, _FREE_RAD**-2
     if open_radius_mm is not None:

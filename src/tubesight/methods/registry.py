@@ -40,6 +40,8 @@ _MATCHING_TRAITS: Mapping[str, str] = MappingProxyType(
     }
 )
 
+_SILHOUETTE = silhouette.Silhouette(starter=cone_ray.solve, general=epipolar_dp.solve)
+
 METHODS: Mapping[str, Method] = Registry(
     {
         "cone_ray": Method(
@@ -64,7 +66,8 @@ METHODS: Mapping[str, Method] = Registry(
                     "3-D": "yes",
                 }
             ),
-            solve=silhouette.Silhouette(starter=cone_ray.solve, general=epipolar_dp.solve),
+            solve=_SILHOUETTE,
+            solve_again=_SILHOUETTE,
         ),
         "reference": Method(
             name="reference",

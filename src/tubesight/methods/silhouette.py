@@ -66,8 +66,13 @@ class Silhouette:
     starter: Starter
     general: Starter
 
-    def __call__(self, views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
+    def __call__(self, views: Mapping[str, View], rig: Rig, tube: Tube, family: str = "") -> Curve3D:
         """Fit all families that are needed and return the simplest that explains the edges.
+
+        Parameters
+        ----------
+        family
+            That of the curve a moment ago, where that is known: it is kept where the edges leave the choice open.
 
         Raises
         ------
@@ -81,7 +86,7 @@ class Silhouette:
         if tube.tapered:
             views, tube = _made_even(views, rig, tube, start, tip, any_shape)
         problem = _problem(views, rig, tube, start, tip)
-        problem, chosen, why = choose_family(problem, tip, any_shape)
+        problem, chosen, why = choose_family(problem, tip, any_shape, family)
         if tube.tip.shape == "flat":
             end = chosen.nodes.points[-1], chosen.nodes.tangents[-1]
             tip = flat_tip(views, rig, *end, end_radius or problem.radius_mm)

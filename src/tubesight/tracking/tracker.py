@@ -107,6 +107,18 @@ class Tracker:
         self._before: tuple[float, Shape] | None = None
         self._doubts: list[tuple[float, Array]] = []
         self._good_s = math.nan
+        self._family = ""
+
+    @property
+    def family(self) -> str:
+        """Family of the curve of the last good pair; empty where the tube is not followed."""
+        return self._family if self.state in (State.TRACKING, State.DEGRADED) else ""
+
+    def begin_anew(self) -> None:
+        """Take the next tube measured for the one to follow: another method, or a base marked by hand, was chosen."""
+        self._known = Designation(has_end=self._known.has_end)
+        self._doubts, self._family = [], ""
+        self._forget()
 
     def event(self, event: Event) -> State:
         """Move to the next state."""
@@ -149,7 +161,7 @@ class Tracker:
         if why:
             return self._refused(result, pair, why, predicted)
         self._before = (time_s, shape)
-        self._good_s = time_s
+        self._good_s, self._family = time_s, curve.model
         self._known = agreed(self._known, result, shape, curve, time_s)
         self._tip = _corrected(predicted, time_s, shape.tip_mm, covariance)
         if self._filtering:

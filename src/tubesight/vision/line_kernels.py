@@ -131,8 +131,8 @@ def profile(
 ) -> None:
     """Likeness (L,) along a line, as `edges.profiles` gives it, in the row `SHARE` of `work`.
 
-    The line bends to the left by so much per pixel; `lines` are the number of parallel lines and their distance from each
-    other.
+    The line bends to the left by so much per pixel; `lines` are the number of parallel lines, and their distance from
+    each other.
     """
     image, behind, colours = picture
     with_scene, count = behind.shape[0] > 0, work.shape[1]

@@ -1,6 +1,7 @@
 """Compiled twin of `see` for the common case: a known start, and every stage succeeds at its first attempt.
 
-Whatever else happens (`DOUBTFUL`), a gap that is told of or a tip that might be a corner, is left to the stages one by one, which know what to try next and what to say.
+Whatever else happens (`DOUBTFUL`), a gap that is told of or a tip that might be a corner, is left to the stages one by
+one, which know what to try next and what to say.
 """
 
 from __future__ import annotations

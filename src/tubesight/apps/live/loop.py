@@ -140,7 +140,8 @@ def _results(
             continue
         if switch.adopt():
             watch.begin_anew(switch.current.tube.clamped)
-        tracked = tracker.step(switch.current(pair.pair(str(index))), pair)
+            tracker.begin_anew()
+        tracked = tracker.step(switch.current(pair.pair(str(index)), tracker.family), pair)
         latency = time.monotonic() - pair.time_s
         moved = watch.add(tracked.result, pair.time_s) if tracked.result is not None else ""
         yield replace(tracked, latency_s=latency, late=latency > options.deadline_s, moved=moved)

@@ -204,6 +204,7 @@ def moments(
             continue
         if isinstance(entry, RecordedSwitch):
             sensor, about = switched(sensor, about, entry, recording.path), entry.configuration
+            tracker.begin_anew()
             continue
         numbers = entry.data.get("pictures")
         if numbers is None:
@@ -218,7 +219,7 @@ def moments(
             yield None, entry.data
             continue
         matched = _matched(recording, entry, found, gray)
-        yield tracker.step(sensor(matched.pair(str(index))), matched), entry.data
+        yield tracker.step(sensor(matched.pair(str(index)), tracker.family), matched), entry.data
         index += 1
 
 

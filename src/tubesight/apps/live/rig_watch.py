@@ -40,7 +40,7 @@ class RigWatch:
 
     def begin_anew(self, clamped: bool) -> None:
         """Forget the residuals: another method's, or those from a base marked by hand, are others on the same rig."""
-        self._health, self._clamped, self.blind = Health(), clamped, None
+        self._health, self._clamped, self._places = Health(), clamped, {}
 
     def add(self, result: Reconstruction, time_s: float) -> str:
         """Take a pair into account; which camera moved, in a sentence, or nothing."""

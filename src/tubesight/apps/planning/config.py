@@ -41,8 +41,8 @@ errors:                       # standard deviations
   noise_px: 0.06              # of each edge by itself
   shading_px: 0.05            # of a row of edges, by light and compression
   bias_px: 0.1                # of all edges of a picture, by blur and gamma
-  clamp_mm: 0.05
-  clamp_deg: 0.05
+  clamp_mm: 0.03
+  clamp_deg: 0.03
   calibration_px: 0.1         # by which each camera points beside where the calibration says
 """
 
@@ -92,8 +92,8 @@ class _ErrorsFile(Strict):
     noise_px: PositiveFloat = 0.06
     shading_px: NonNegativeFloat = 0.05
     bias_px: NonNegativeFloat = 0.1
-    clamp_mm: PositiveFloat = 0.05
-    clamp_deg: PositiveFloat = 0.05
+    clamp_mm: PositiveFloat = 0.03
+    clamp_deg: PositiveFloat = 0.03
     calibration_px: NonNegativeFloat = 0.1
 
 

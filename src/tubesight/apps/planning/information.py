@@ -14,6 +14,7 @@ import numpy as np
 from tubesight.core import Array, Tube
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
+from tubesight.methods.fit import CLAMP_MM, CLAMP_RAD
 from tubesight.simulate.outlines import CONTOUR, SCANS, Outline, Stations, outline, stations
 from tubesight.simulate.phantom import Arc, Phantom, Placed
 
@@ -42,12 +43,12 @@ class Errors:
     """
 
     # A photograph leaves residuals of 0.06 px to the right curve; shading moves rows by 0.05 px, and blur and gamma all
-    # edges by 0.03 to 0.1 px where the threshold has been improved. A clamp is registered to hundredths.
+    # edges by 0.03 to 0.1 px where the threshold has been improved. The clamp is as good as the fit takes it to be.
     noise_px: float = 0.06
     shading_px: float = 0.05
     bias_px: float = 0.1
-    clamp_mm: float = 0.05
-    clamp_rad: float = float(np.radians(0.05))
+    clamp_mm: float = CLAMP_MM
+    clamp_rad: float = float(CLAMP_RAD)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -81,7 +81,7 @@ _INTRODUCTION = (
     "Edges of a tube are drawn with known errors, without pictures, and given to the fit: 24 a side and 16 on the "
     "tip in "
     "each of two cameras 90 degrees apart, as many as it uses of a photograph. Independent noise is 0.06 px; shading "
-    "moves and tilts rows by 0.05 px, blur all edges by 0.1 px; the clamp errs by 0.05 mm and 0.05 degrees in all of "
+    "moves and tilts rows by 0.05 px, blur all edges by 0.1 px; the clamp errs by 0.03 mm and 0.03 degrees in all of "
     "them."
 )
 
