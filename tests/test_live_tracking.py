@@ -80,6 +80,16 @@ def test_the_family_is_that_of_the_last_good_pair_while_the_tube_is_followed() -
     assert tracker.family == ""
 
 
+def test_pictures_that_come_at_once_are_of_the_same_tube() -> None:
+    """A tip at 300 mm/s, 30 pictures a second, of which some come late and bear the time at which they came."""
+    tracker, came = Tracker(), 0.0
+    for k in range(90):
+        held_up = 0.1 if k % 30 > 26 else 0.0
+        came = max(came + 0.001, k / 30 + held_up)
+        told = tracker.step(measured((10.0 * k, 0.0, 100.0)), pair(came))
+        assert told.result, k
+
+
 def test_a_jump_is_doubted_and_not_measured() -> None:
     tracker = Tracker()
     for k in range(10):

@@ -24,6 +24,9 @@ ACCELERATION_MM_PER_S2 = 5000.0
 _SPEED_SD_MM_PER_S = 300.0
 # Chi squared of three degrees of freedom beyond which a tip contradicts its prediction: once in 100000 by chance.
 _GATE = 25.9
+# Pictures without a camera's own clock bear the time at which they came: after a stall of the network or the machine some
+# come at once. A tip that contradicts its prediction may have gone on along its way for one frame at 30 Hz.
+_BUNCHED_S = 1 / 30
 # Doubtful tips in a row that agree with each other are the tube, moved; the track begins anew there. After a loss a
 # tube that was well known is believed as late: a device that moves through its place has its length for a moment only.
 _CONVINCED = 3
@@ -152,6 +155,9 @@ class Tracker:
         sd = np.array([shape.sd[name] for name in ("tip_x", "tip_y", "tip_z")])
         covariance = np.diag(np.where(np.isfinite(sd), sd, _UNKNOWN_SD_MM) ** 2)
         predicted = predict(self._tip, time_s, self._acceleration) if self._tip is not None else None
+        if predicted is not None and distance_squared(predicted, shape.tip_mm, covariance) > _GATE:
+            way = _BUNCHED_S * predicted.velocity_mm_per_s
+            covariance = covariance + np.outer(way, way)
         why = contradiction(self._known, result, shape, curve, time_s)
         if why:
             self._doubts = []
