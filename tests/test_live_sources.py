@@ -18,6 +18,7 @@ from http_cameras import jpeg, serve, stream
 from live_scenes import SIZE, Listed, listed, picture, wanted
 from tubesight.core import InputError
 from tubesight.sources import opening
+from tubesight.sources.buffers import PictureBuffers
 from tubesight.sources.clock import ArrivalClock
 from tubesight.sources.fault import parse_script
 from tubesight.sources.integrity import Wholeness, sampled, wholeness
@@ -133,6 +134,25 @@ def test_whole_torn_and_repeated_pixels_are_told_apart() -> None:
     # A camera whose picture is black or saturated throughout tells nothing.
     black = sampled(np.zeros_like(after))
     assert wholeness(black, [black]) is Wholeness.NEW
+
+
+@pytest.mark.parametrize("gray", [True, False])
+def test_a_picture_stays_while_anybody_looks_at_a_part_of_it(gray: bool) -> None:
+    buffers = PictureBuffers()
+    data = [cv2.imencode(".jpg", picture("left", k))[1].tobytes() for k in range(4)]
+    alone = [decode_picture(each, "left", gray) for each in data]
+    kept = decode_picture(data[0], "left", gray, buffers)[10:20, 30:]
+    places = set()
+    for _ in range(3):
+        for k in (1, 2, 3):
+            now = decode_picture(data[k], "left", gray, buffers)
+            np.testing.assert_array_equal(now, alone[k])
+            places.add(now.__array_interface__["data"][0])
+    np.testing.assert_array_equal(kept, alone[0][10:20, 30:])
+    # The last picture is held until the next one is there: two places beside the one that is kept.
+    assert len(places) == 2
+    other = buffers.take((7, 5, 3))
+    assert other.shape == (7, 5, 3) and buffers.take((7, 5, 3)) is not other
 
 
 def test_damage_anywhere_in_a_jpeg_is_refused() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from tubesight.core import Image, InputError
 from tubesight.files.headers import BrokenPicture, picture_size
 from tubesight.files.images import MAX_PIXELS, decode_image
+from tubesight.sources.buffers import PictureBuffers
 from tubesight.sources.reader import BrokenPictureError
 
 _START = b"\xff\xd8"
@@ -24,8 +25,13 @@ def strict_jpeg() -> bool:
     return find_spec("simplejpeg") is not None
 
 
-def decode_picture(data: bytes, name: str, gray: bool) -> Image:
+def decode_picture(data: bytes, name: str, gray: bool, buffers: PictureBuffers | None = None) -> Image:
     """Decode a camera's picture: every warning of the decoder is an error.
+
+    Parameters
+    ----------
+    buffers
+        Of this camera, to decode into; None for memory of its own.
 
     Raises
     ------
@@ -44,7 +50,8 @@ def decode_picture(data: bytes, name: str, gray: bool) -> Image:
         width, height = picture_size(data)
         if not 0 < width * height <= MAX_PIXELS:
             raise BrokenPictureError(f"{name}: {width} x {height} pixels are more than a camera has; use smaller ones")
-        pixels = simplejpeg.decode_jpeg(data, "GRAY" if gray else "BGR")
+        room = None if buffers is None else buffers.take((height, width, 1 if gray else 3))
+        pixels = simplejpeg.decode_jpeg(data, "GRAY" if gray else "BGR", buffer=room)
     except (BrokenPicture, ValueError) as error:
         if isinstance(error, BrokenPictureError):
             raise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from tubesight.sources.buffers import PictureBuffers
 from tubesight.sources.clock import ArrivalClock
 from tubesight.sources.http import HttpPictures
 from tubesight.sources.jpeg import decode_picture
@@ -17,7 +18,7 @@ class _HttpReader:
     def __init__(self, url: str, wanted: Wanted) -> None:
         self._stream = HttpPictures(url, wanted.timeout_s)
         self._gray = wanted.gray
-        self._clock = ArrivalClock()
+        self._clock, self._buffers = ArrivalClock(), PictureBuffers()
 
     def read(self) -> Picture:
         data = self._stream.read()
@@ -28,7 +29,8 @@ class _HttpReader:
             data = self._stream.read()
             time_s = self._clock.time_s(self._stream.stamp_s, time.monotonic())
             skipped += 1
-        return Picture(decode_picture(data, self._stream.name, self._gray), time_s, data, skipped)
+        image = decode_picture(data, self._stream.name, self._gray, self._buffers)
+        return Picture(image, time_s, data, skipped)
 
     def close(self) -> None:
         self._stream.close()

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from tubesight.core import InputError
+from tubesight.sources.buffers import PictureBuffers
 from tubesight.sources.devices import list_devices
 from tubesight.sources.jpeg import decode_picture, to_gray
 from tubesight.sources.reader import Picture, Source, Wanted
@@ -96,7 +97,7 @@ def _named(text: str) -> str:
 
 class _UsbReader:
     def __init__(self, name: str, place: str, settings: UsbSettings, wanted: Wanted) -> None:
-        self._name, self._wanted = name, wanted
+        self._name, self._wanted, self._buffers = name, wanted, PictureBuffers()
         backend = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
         self._device = cv2.VideoCapture(int(place) if place.isdecimal() else place, backend)
         # The bytes of a JPEG are wanted as they are: damage can be told, and a recording keeps them.
@@ -120,7 +121,7 @@ class _UsbReader:
         pixels = np.asarray(image, dtype=np.uint8)
         if self._coded and (pixels.ndim == 1 or 1 in pixels.shape[:2]):
             coded = pixels.tobytes()
-            pixels = decode_picture(coded, self._name, self._wanted.gray)
+            pixels = decode_picture(coded, self._name, self._wanted.gray, self._buffers)
         elif self._wanted.gray:
             pixels = to_gray(pixels)
         wanted, got = self._wanted.size_px, pixels.shape[1::-1]

@@ -24,7 +24,7 @@ ACCELERATION_MM_PER_S2 = 5000.0
 _SPEED_SD_MM_PER_S = 300.0
 # Chi squared of three degrees of freedom beyond which a tip contradicts its prediction: once in 100000 by chance.
 _GATE = 25.9
-# Pictures without a camera's own clock bear the time at which they came: after a stall of the network or the machine some
+# Pictures without a camera's own clock bear the time at which they came: after a stall of network or machine some
 # come at once. A tip that contradicts its prediction may have gone on along its way for one frame at 30 Hz.
 _BUNCHED_S = 1 / 30
 # Doubtful tips in a row that agree with each other are the tube, moved; the track begins anew there. After a loss a

@@ -11,8 +11,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from tubesight.apps.live.loop import Moment
 from tubesight.apps.live.mjpeg import read_number
 from tubesight.apps.live.options import LiveOptions, RecordOptions, set_up
@@ -20,7 +18,7 @@ from tubesight.apps.live.peers import browser, network_cameras, network_clients
 from tubesight.apps.live.publishing import NetworkSubscriber, Place, PublishOptions
 from tubesight.apps.live.session import run_session
 from tubesight.apps.live.soak import Growth, growth
-from tubesight.apps.live.stats import Figures
+from tubesight.apps.live.stats import Figures, Latencies
 from tubesight.apps.live.steering import steering_of
 from tubesight.files.packages import require_package
 from tubesight.files.rig import save_rig
@@ -90,14 +88,8 @@ class _Watch:
     def __init__(self, seconds: float, page: ViewerSubscriber) -> None:
         self._every_s, self._page = seconds / 200, page
         self.memory: list[tuple[float, float]] = []
-        self.decoded_ms: list[float] = []
+        self.decoded = Latencies()
         self.mixed = self.pages = 0
-
-    def median_and_p99_ms(self) -> tuple[float, float]:
-        """Time from decoded pictures to the result."""
-        if not self.decoded_ms:
-            return math.nan, math.nan
-        return float(np.median(self.decoded_ms)), float(np.percentile(self.decoded_ms, 99))
 
     def __call__(self, moment: Moment) -> None:
         now = time.monotonic()
@@ -107,7 +99,7 @@ class _Watch:
         pair = moment.tracked.pair
         if pair is not None and moment.tracked.result is not None:
             frames = pair.frames.values()
-            self.decoded_ms.append(1e3 * (now - max(frame.decoded_s for frame in frames)))
+            self.decoded.add(1e3 * (now - max(frame.decoded_s for frame in frames)))
             self.mixed += len({read_number(frame.image) for frame in frames}) > 1
 
 
@@ -162,7 +154,8 @@ def everything(
         received = clients.received()
     return Everything(
         figures,
-        *watch.median_and_p99_ms(),
+        watch.decoded.percentile_ms(0.5),
+        watch.decoded.percentile_ms(0.99),
         figures.pairs,
         watch.mixed,
         growth(watch.memory),

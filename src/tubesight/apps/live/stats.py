@@ -18,8 +18,8 @@ from tubesight.tracking.tracker import Tracked
 
 # Rates and medians are of so many seconds.
 _WINDOW_S = 5.0
-# Latencies of a whole session are counted in classes, each 1 % above the one before, so that a session of days takes no
-# more memory than one of minutes: from 10 us, far below a measurement, to 100 s, far above a frame time.
+# Latencies are counted in classes, each 1 % above the one before: from 10 us, far below a measurement, to 100 s, far
+# above a frame time.
 _CLASS, _SHORTEST_MS, _LONGEST_MS = math.log(1.01), 0.01, 1e5
 _CLASSES = math.ceil(math.log(_LONGEST_MS / _SHORTEST_MS) / _CLASS) + 1
 
@@ -83,13 +83,33 @@ class Figures:
         )
 
 
+class Latencies:
+    """How often which latency was, so that a session of days takes no more memory than one of minutes."""
+
+    def __init__(self) -> None:
+        self._counts: NDArray[np.int64] = np.zeros(_CLASSES, np.int64)
+
+    def add(self, ms: float) -> None:
+        """Count one; shorter and longer ones than there are classes for are in the first and last."""
+        share = max(ms, _SHORTEST_MS) / _SHORTEST_MS
+        self._counts[min(math.ceil(math.log(share) / _CLASS), _CLASSES - 1)] += 1
+
+    def percentile_ms(self, share: float) -> float:
+        """Upper end of the class below or in which this share of the latencies lies; NaN where there are none."""
+        if not self._counts.any():
+            return math.nan
+        return _SHORTEST_MS * math.exp(
+            _CLASS * int(np.searchsorted(np.cumsum(self._counts), share * self._counts.sum()))
+        )
+
+
 class Stats:
     """Collects the figures of a session."""
 
     def __init__(self) -> None:
         self._start_s = time.monotonic()
         self._recent: deque[tuple[float, float, float, float]] = deque()
-        self._latencies = np.zeros(_CLASSES, np.int64)
+        self._latencies = Latencies()
         self._status: Counter[str] = Counter()
         self._late = 0
 
@@ -102,7 +122,7 @@ class Stats:
         self._recent.append((now, 1e3 * tracked.latency_s, result.total_ms, 1e3 * tracked.skew_s))
         while self._recent[0][0] < now - _WINDOW_S:
             self._recent.popleft()
-        self._latencies[_class_of(1e3 * tracked.latency_s)] += 1
+        self._latencies.add(1e3 * tracked.latency_s)
         self._status[str(result.status)] += 1
         self._late += tracked.late
 
@@ -112,7 +132,7 @@ class Stats:
         recent = [row for row in self._recent if row[0] >= now - _WINDOW_S]
         medians = np.median(np.array(recent)[:, 1:], axis=0).tolist() if recent else [math.nan] * 3
         span = min(now - self._start_s, _WINDOW_S)
-        p99 = _percentile_ms(self._latencies, 0.99)
+        p99 = self._latencies.percentile_ms(0.99)
         by_camera = {
             name: {"arrived": counts.arrived, **{str(reason): n for reason, n in counts.refused.items()}}
             for name, counts in cameras.items()
@@ -132,16 +152,3 @@ class Stats:
             cameras=by_camera,
             recorded=recorded,
         )
-
-
-def _class_of(latency_ms: float) -> int:
-    """Class of a latency: shorter and longer ones than there are classes for are in the first and last."""
-    share = max(latency_ms, _SHORTEST_MS) / _SHORTEST_MS
-    return min(math.ceil(math.log(share) / _CLASS), _CLASSES - 1)
-
-
-def _percentile_ms(counts: NDArray[np.int64], share: float) -> float:
-    """Upper end of the class below or in which this share of the latencies lies; NaN where there are none."""
-    if not counts.any():
-        return math.nan
-    return _SHORTEST_MS * math.exp(_CLASS * int(np.searchsorted(np.cumsum(counts), share * counts.sum())))
