@@ -133,6 +133,17 @@ def test_a_fault_of_a_camera_stops_everything_until_all_are_back() -> None:
     assert tracker.watch({}, 0.3) is None
 
 
+@pytest.mark.parametrize(("silent_s", "refused"), [(0.2, 0), (1.0, 2)])
+def test_a_tube_is_doubted_after_a_long_silence_of_a_camera_only(silent_s: float, refused: int) -> None:
+    tracker = Tracker()
+    for k in range(30):
+        tracker.step(measured((0.5 * k, 0.0, 100.0)), pair(k / 30))
+    tracker.watch({"left": CameraFault.SILENT}, 1.1)
+    tracker.watch({}, 1.0 + silent_s)
+    told = [tracker.step(measured((16.0, 0.0, 100.0)), pair(1.0 + silent_s + k / 30)) for k in range(5)]
+    assert [bool(each.result) for each in told] == [False] * refused + [True] * (5 - refused)
+
+
 def test_the_skew_adds_to_the_deviations_by_the_motion() -> None:
     tracker = Tracker()
     tracker.step(measured((0.0, 0.0, 120.0)), pair(0.0, 0.008))

@@ -134,7 +134,9 @@ class Tracker:
             self.event(Event.CAMERA_FAULT)
             return Tracked(None, self.state, time_s, faults=dict(faults), notes=_say(faults))
         if self.state is State.FAULT:
-            self._forget()
+            # A moment's silence, on a machine that is busy, is no reason to doubt the tube afterwards.
+            if not time_s - self._good_s <= _LOST_S:
+                self._forget()
             self.event(Event.CAMERAS_BACK)
             return Tracked(None, self.state, time_s, notes=("all cameras are back",))
         return None
