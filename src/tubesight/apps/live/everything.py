@@ -154,8 +154,7 @@ def everything(
         received = clients.received()
     return Everything(
         figures,
-        watch.decoded.percentile_ms(0.5),
-        watch.decoded.percentile_ms(0.99),
+        *(watch.decoded.percentile_ms(share) for share in (0.5, 0.99)),
         figures.pairs,
         watch.mixed,
         growth(watch.memory),
