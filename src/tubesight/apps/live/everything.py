@@ -154,7 +154,7 @@ def everything(
         received = clients.received()
     return Everything(
         figures,
-        *(watch.decoded.percentile_ms(share) for share in (0.5, 0.99)),
+        *watch.decoded.median_and_p99_ms(),
         figures.pairs,
         watch.mixed,
         growth(watch.memory),

@@ -102,6 +102,10 @@ class Latencies:
             _CLASS * int(np.searchsorted(np.cumsum(self._counts), share * self._counts.sum()))
         )
 
+    def median_and_p99_ms(self) -> tuple[float, float]:
+        """Both as `percentile_ms` gives them."""
+        return self.percentile_ms(0.5), self.percentile_ms(0.99)
+
 
 class Stats:
     """Collects the figures of a session."""
