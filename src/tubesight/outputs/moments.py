@@ -16,9 +16,10 @@ from tubesight.tracking.tracker import Tracked
 def moment_data(tracked: Tracked) -> dict[str, Any]:
     """Turn a live result into plain data; numbers that are not known are null.
 
-    Keys: ``state``, ``time_s``, ``skew_s``, ``latency_s``, ``late``, ``faults``, ``notes``, ``moved``, ``pictures``
-    (numbers by camera), ``times_s`` (by camera), ``row`` (the columns of ``shapes.csv``), ``s_mm``, ``xyz_mm``,
-    ``sd_mm`` (the curve at 101 equal arc lengths, as in ``curves.npz``), ``filtered`` (``position_mm``, ``sd_mm``).
+    Keys: ``state``, ``time_s``, ``skew_s``, ``latency_s``, ``late``, ``faults``, ``notes``, ``moved``, ``family``,
+    ``pictures`` (numbers by camera), ``times_s`` (by camera), ``row`` (the columns of ``shapes.csv``), ``s_mm``,
+    ``xyz_mm``, ``sd_mm`` (the curve at 101 equal arc lengths, as in ``curves.npz``), ``filtered`` (``position_mm``,
+    ``sd_mm``).
     """
     data: dict[str, Any] = {
         "state": str(tracked.state),
@@ -29,6 +30,7 @@ def moment_data(tracked: Tracked) -> dict[str, Any]:
         "faults": {name: str(fault) for name, fault in tracked.faults.items()},
         "notes": list(tracked.notes),
         "moved": tracked.moved,
+        "family": tracked.family,
     }
     if tracked.pair is not None:
         data["pictures"] = {name: frame.number for name, frame in tracked.pair.frames.items()}

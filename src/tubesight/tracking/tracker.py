@@ -67,6 +67,8 @@ class Tracked:
         Whether that was more than the deadline.
     moved
         Which camera seems to have moved, in a sentence; empty while the rig is as it was.
+    family
+        Family of the curve a moment ago, of which the method was told (`ShapeSensor`).
     """
 
     result: Reconstruction | None
@@ -81,6 +83,7 @@ class Tracked:
     latency_s: float = math.nan
     late: bool = False
     moved: str = ""
+    family: str = ""
 
 
 class Tracker:

@@ -141,10 +141,11 @@ def _results(
         if switch.adopt():
             watch.begin_anew(switch.current.tube.clamped)
             tracker.begin_anew()
-        tracked = tracker.step(switch.current(pair.pair(str(index)), tracker.family), pair)
+        family = tracker.family
+        tracked = tracker.step(switch.current(pair.pair(str(index)), family), pair)
         latency = time.monotonic() - pair.time_s
         moved = watch.add(tracked.result, pair.time_s) if tracked.result is not None else ""
-        yield replace(tracked, latency_s=latency, late=latency > options.deadline_s, moved=moved)
+        yield replace(tracked, latency_s=latency, late=latency > options.deadline_s, moved=moved, family=family)
         index += 1
 
 

@@ -219,7 +219,8 @@ def moments(
             yield None, entry.data
             continue
         matched = _matched(recording, entry, found, gray)
-        yield tracker.step(sensor(matched.pair(str(index)), tracker.family), matched), entry.data
+        result = sensor(matched.pair(str(index)), str(entry.data.get("family", "")))
+        yield tracker.step(result, matched), entry.data
         index += 1
 
 

@@ -132,16 +132,11 @@ class RecordingReel:
         if pair is None:
             failed = _failed(str(index), "no pictures of this moment are in the recording", sensor.method)
             return Shown(failed, None, time_s, remarks)
-        return Shown(sensor(pair, self._family_before(index)), pair, time_s, remarks)
+        return Shown(sensor(pair, str(data.get("family", ""))), pair, time_s, remarks)
 
     def close(self) -> None:
         """Close the file."""
         self._index.close()
-
-    def _family_before(self, index: int) -> str:
-        """Family of the curve of the moment before; empty where there is none."""
-        row = self._data(index - 1).get("row") if index > 0 else None
-        return str(row.get("model", "")) if isinstance(row, dict) else ""
 
     def _data(self, index: int) -> dict[str, Any]:
         time_ns, number = self._places[index]
