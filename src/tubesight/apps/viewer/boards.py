@@ -13,14 +13,14 @@ import numpy as np
 
 from tubesight.apps.calibrate import board_of
 from tubesight.apps.viewer.cameras import shrunk
-from tubesight.apps.viewer.guard import PORT, open_server
+from tubesight.apps.viewer.guard import PORT
+from tubesight.apps.viewer.page import Page
 from tubesight.apps.viewer.panel import badge
 from tubesight.calibration.coverage import draw_coverage
 from tubesight.calibration.look import Collection, Look, look_at
 from tubesight.core import Image, InputError
 from tubesight.files.dataset import camera_folders, list_pairs
 from tubesight.files.images import read_image
-from tubesight.outputs.publish import Slot
 
 # Pictures in the page are this wide, and shown so many times a second at most.
 _PICTURE_PX, _PERIOD_S = 720, 0.1
@@ -30,7 +30,7 @@ _AGAIN_S = 0.3
 _GROUND, _ROOM_PX = 24, 8
 
 
-class BoardPage:
+class BoardPage(Page[tuple[Mapping[str, Image], Mapping[str, Look], Collection, str, bool]]):
     """Shows looks at a board in the browser. Use it as a context manager.
 
     Parameters
@@ -40,7 +40,7 @@ class BoardPage:
     """
 
     def __init__(self, port: int = PORT) -> None:
-        self.server = open_server(port)
+        super().__init__(port, "board page")
         gui = self.server.gui
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
@@ -50,24 +50,6 @@ class BoardPage:
         gui.add_markdown(
             "Bright dots: the board now. Green dots: corners of the pairs that are kept. Tinted cells: no corner yet."
         )
-        self._slot: Slot[tuple[Mapping[str, Image], Mapping[str, Look], Collection, str, bool]] = Slot()
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="board page", daemon=True)
-
-    @property
-    def address(self) -> str:
-        """What to open in a browser."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
-
-    def __enter__(self) -> BoardPage:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._slot.close()
-        self._thread.join(2.0)
-        self.server.stop()
 
     def show(
         self, images: Mapping[str, Image], looks: Mapping[str, Look], collection: Collection, word: str, good: bool

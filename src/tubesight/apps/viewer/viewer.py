@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 
 from tubesight.apps.viewer.cameras import Cameras, shrunk
 from tubesight.apps.viewer.controls import ControlFolder, Controls
-from tubesight.apps.viewer.guard import PORT, open_server
+from tubesight.apps.viewer.guard import PORT
+from tubesight.apps.viewer.page import Page
 from tubesight.apps.viewer.panel import CONTROLS, PICTURE_PX, Panel
 from tubesight.apps.viewer.scene import Scene3D
 from tubesight.core import FramePair, Tube
 from tubesight.geometry.rig import Rig
 from tubesight.outputs.overlay import draw_views
-from tubesight.outputs.publish import Slot
 from tubesight.sensor import Reconstruction
 
 # People see no more than 30 results a second; pictures and plots are larger and change more slowly.
 _SHAPE_S, _PICTURE_S, _PLOT_S = 1 / 30, 0.2, 0.25
 
 
-class Viewer:
+class Viewer(Page[tuple[Reconstruction, FramePair | None, float, str]]):
     """Shows results in a browser. Use it as a context manager.
 
     `publish` never waits: results that come faster than they are shown replace each other.
@@ -42,30 +41,12 @@ class Viewer:
     """
 
     def __init__(self, rig: Rig, tube: Tube, port: int = PORT, controls: Controls | None = None) -> None:
+        super().__init__(port, "viewer")
         self.rig = rig
-        self.server = open_server(port)
         self._panel = Panel(self.server)
         self.controls = ControlFolder(self.server.gui, controls or Controls(), CONTROLS)
         self._scene = Scene3D(self.server, rig, tube.diameter_mm)
         self._cameras = Cameras(self.server, rig, self.controls.clicked)
-        self._slot: Slot[tuple[Reconstruction, FramePair | None, float, str]] = Slot()
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
-
-    @property
-    def address(self) -> str:
-        """What to open in a browser."""
-        return f"http://{self.server.get_host()}:{self.server.get_port()}"
-
-    def __enter__(self) -> Viewer:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._slot.close()
-        self._thread.join(2.0)
-        self.server.stop()
 
     def publish(
         self, result: Reconstruction, pair: FramePair | None, time_s: float | None = None, remarks: str = ""
