@@ -52,9 +52,10 @@ def _folder() -> Path | None:
             continue
         folder = root / f"kernels-{_stamp()}"
         try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            with tempfile.TemporaryFile(dir=folder):
+            if not folder.is_dir():
+                folder.mkdir(parents=True, exist_ok=True, mode=0o700)
                 _remove_old(root)
+            with tempfile.TemporaryFile(dir=folder):
                 return folder
         except OSError:
             continue

@@ -15,9 +15,7 @@ import numpy as np
 from tubesight.core import Array, Status, Tip, Tube, Unmeasurable, sealed
 from tubesight.geometry.curve import Curve3D, NodeCurve
 from tubesight.geometry.deviations import Deviations
-from tubesight.geometry.families import (
-    BASE,
-)
+from tubesight.geometry.families import BASE
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.methods.agreement import base_of, flat_tip, triangulate_tip

@@ -19,7 +19,7 @@ from tubesight.vision.search import find_seed
 from tubesight.vision.signal import Signal
 from tubesight.vision.silhouette import signal_of
 from tubesight.vision.stages import Stages, stages
-from tubesight.vision.view import TipView, View, gap_notes
+from tubesight.vision.view import TipView, View
 from tubesight.vision.walker import Track, walked_edges
 
 # Fewest scans a view needs: below it neither a conic nor a bend can be fitted.
@@ -127,7 +127,7 @@ def see(
     edges, unit, rays, centreline, first, rough = run.tube_rays(camera, edges, ending.heading, tip.px, near, room, base)
     if len(edges) < SCANS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail=f"{len(edges)} scans")
-    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, gap_notes(track.gaps))
+    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, _notes(track))
 
 
 def _open_view(name: str, run: Stages, camera: Camera, signal: Signal, track: Track, base: Array) -> View:
@@ -138,7 +138,7 @@ def _open_view(name: str, run: Stages, camera: Camera, signal: Signal, track: Tr
     if len(edges) < SCANS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail=f"{len(edges)} scans")
     tip = open_tip(rays[-1], centreline[-1])
-    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, gap_notes(track.gaps))
+    return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, _notes(track))
 
 
 def _measured(run: Stages, signal: Signal, track: Track) -> tuple[Array, float, Array]:
@@ -147,6 +147,10 @@ def _measured(run: Stages, signal: Signal, track: Track) -> tuple[Array, float, 
     if len(edges) >= SCANS_MIN or float(np.median(track.width_px)) > _THIN_PX:
         return edges, blur, doubt
     return walked_edges(track), blur, np.full(2, _WALKED_PX)
+
+
+def _notes(track: Track) -> tuple[str, ...]:
+    return tuple(f"bridged a gap of {gap:.1f} widths" for gap in track.gaps)
 
 
 def _from_base(run: Stages, image: Image, background: Image | None, start: Start) -> tuple[Signal, Track]:

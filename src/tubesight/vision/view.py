@@ -22,11 +22,6 @@ def _of_own(cls: type[T], values: tuple[Any, ...]) -> T:
     return made
 
 
-def gap_notes(gaps: tuple[float, ...]) -> tuple[str, ...]:
-    """Cautions about the gaps that were bridged (widths)."""
-    return tuple(f"bridged a gap of {gap:.1f} widths" for gap in gaps)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class TipView:
     """The end of the tube in one picture.
