@@ -17,15 +17,12 @@ from tubesight.core import Array, Status, Unmeasurable
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.families import FAMILIES, INTERVALS, Family, bends_of_pieces, ellipse_like, turns_of
 from tubesight.methods.fit import Fit, fit_family
-from tubesight.methods.general import frame_along, general_fits, placed, turns_by
+from tubesight.methods.general import SIMPLEST_WITHIN, frame_along, general_fits, placed, turns_by
 from tubesight.methods.rays import ROWS, Problem
 from tubesight.methods.solve import ITERATIONS
 
 # No family with a larger rms is an answer.
 RMS_MAX_PX = 0.6
-# The simplest family whose rms is within this factor of the best one's is taken: residuals on photographs are
-# systematic, so that a criterion for independent noise would take too rich a family.
-_SIMPLEST_WITHIN = 1.35
 # A family that was right a moment ago stays until limits are passed by this factor, and another one comes only so far
 # within them: from frame to frame the rms of one family changes by a tenth.
 _STAYS = 1.15
@@ -43,7 +40,7 @@ _NOISE_SD, _PLANE, _PLANE_WITHIN = 2.0, ("circle", "ellipse"), 2.0
 _PLANE_PX = 2.3
 # A tube whose centreline bends more sharply than this share of its radius' inverse kinks.
 _SHARPEST = 0.7
-# A good circle is challenged only where a few steps of a polynomial lower its rms by this factor: `_SIMPLEST_WITHIN` is
+# A good circle is challenged only where a few steps of a polynomial lower its rms by this factor: `SIMPLEST_WITHIN` is
 # farther away.
 _WORTH, _FEW_STEPS = 1.15, 2
 # Steps of a smooth curve that pieces start from: on 180 S-shapes and robots of two and three segments as many pieces
@@ -129,7 +126,7 @@ def _eased(name: str, family: str) -> float:
 def _explains(fit: Fit, best_px: float, family: str) -> bool:
     """Whether a fit leaves no more than systematic errors of the edges may make of the best one."""
     good_plane = fit.family.name in _PLANE and fit.rms_px <= _GOOD_PX
-    within = _PLANE_WITHIN if good_plane else _SIMPLEST_WITHIN
+    within = _PLANE_WITHIN if good_plane else SIMPLEST_WITHIN
     return fit.rms_px <= max(_eased(fit.family.name, family) * max(within * best_px, _RMS_FLOOR_PX), best_px)
 
 

@@ -22,8 +22,10 @@ from tubesight.methods.rays import ROWS, Problem
 
 # Samples of a curve by which the place of a ray is told: four an arc.
 _SAMPLES = 4 * INTERVALS + 1
-# A finer spline is given up where it cannot lower the rms by this factor: with less it is not chosen.
-_FINER = 1.35
+# The simplest family whose rms is within this factor of the best one's is taken: residuals on photographs are
+# systematic, so that a criterion for independent noise would take too rich a family. A finer spline is given up where
+# it cannot lower the rms by as much.
+SIMPLEST_WITHIN = 1.35
 
 
 def general_fits(problem: Problem, turns: Array, length_mm: float, good_px: float) -> dict[str, Fit]:
@@ -42,7 +44,7 @@ def general_fits(problem: Problem, turns: Array, length_mm: float, good_px: floa
     if fits[name].rms_px > good_px:
         name = "fine_spline"
         guess = spatial_like(turns_by(fits["spline"]), fits["spline"].nodes.s_mm[-1], FINE_SPLINE)
-        fits[name] = fit_family(problem, FAMILIES[name], guess, fits["spline"].rms_px / _FINER)
+        fits[name] = fit_family(problem, FAMILIES[name], guess, fits["spline"].rms_px / SIMPLEST_WITHIN)
     smooth = fits[name].parameters[: FAMILIES[name].count]
     for pieces in (4, 6):
         bends = bends_of_pieces(smooth[:-1].reshape(-1, 2), pieces)

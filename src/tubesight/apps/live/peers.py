@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import socket
-import struct
 import subprocess
 import threading
 from collections import Counter
@@ -20,12 +19,11 @@ from typing import Any
 from tubesight.apps.live.mjpeg import coded_swing, serve
 from tubesight.core import InputError
 from tubesight.outputs.network.access import LOOPBACK
+from tubesight.outputs.network.igtl_server import HEADER
 
 # Rendering a swing of pictures and importing everything takes up to 20 s on a busy machine.
 _START_S = 120.0
 _STOP_S = 5.0
-# Header of an OpenIGTLink message: version, type, device, time (two words), size of the body, checksum.
-_IGTL_HEADER = struct.Struct("> H 12s 20s I I Q Q")
 _DATAGRAM_BYTES = 1 << 16
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _BROWSER_FLAGS = (
@@ -127,8 +125,8 @@ def _receive(connection: Connection) -> None:
 
 def _igtl(port: int, counts: dict[str, Counter[str]]) -> None:
     with suppress(OSError), socket.create_connection((LOOPBACK, port)) as client, client.makefile("rb") as stream:
-        while len(head := stream.read(_IGTL_HEADER.size)) == _IGTL_HEADER.size:
-            _, kind, _, _, _, size, _ = _IGTL_HEADER.unpack(head)
+        while len(head := stream.read(HEADER.size)) == HEADER.size:
+            _, kind, _, _, _, size, _ = HEADER.unpack(head)
             stream.read(size)
             counts["OpenIGTLink"][kind.rstrip(b"\0").decode()] += 1
 

@@ -16,7 +16,7 @@ from tubesight.outputs.network.igtl_messages import PLAIN, WITH_METADATA, pack_r
 
 PORT = 18944
 # Header of every message: version, type, device, time stamp (2), size of the body, checksum.
-_HEADER = struct.Struct("> H 12s 20s II Q Q")
+HEADER = struct.Struct("> H 12s 20s II Q Q")
 _VERSIONS = (1, 2, 3)
 # Clients only ask short questions.
 _BODY_BYTES = 1 << 16
@@ -116,18 +116,18 @@ class _Client(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         self._received += data
-        while len(self._received) >= _HEADER.size and not self.transport.is_closing():
-            version, kind, _, _, _, size, checksum = _HEADER.unpack_from(self._received)
+        while len(self._received) >= HEADER.size and not self.transport.is_closing():
+            version, kind, _, _, _, size, checksum = HEADER.unpack_from(self._received)
             if version not in _VERSIONS or not kind.rstrip(b"\0").replace(b"_", b"").isalnum():
                 self._drop("not OpenIGTLink")
                 return
             if size > _BODY_BYTES:
                 self._drop("message too large")
                 return
-            end = _HEADER.size + size
+            end = HEADER.size + size
             if len(self._received) < end:
                 break
-            body = bytes(self._received[_HEADER.size : end])
+            body = bytes(self._received[HEADER.size : end])
             del self._received[:end]
             if CRC64(body) != checksum:
                 self._drop("wrong checksum")
