@@ -16,6 +16,7 @@ from tubesight.core.kernels import COMPILED
 from tubesight.geometry.camera import Camera
 from tubesight.vision import falls, line_kernels, math_kernels, pairs
 from tubesight.vision.ending import BORDER, FOUND
+from tubesight.vision.fetch_kernels import fetch_line
 from tubesight.vision.see import Start, see
 from tubesight.vision.signal import Signal, planes, sample
 from tubesight.vision.stages import READABLE, Stages, stages
@@ -52,6 +53,15 @@ def assert_twins(name: str, *arguments: Any) -> Any:
             assert np.shape(a) == np.shape(b), name
             np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=0, atol=TOLERANCE, err_msg=name)
     return readable
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (1, 1), (2, 3), (40, 30)])
+def test_asking_for_pixels_asks_for_none_outside(shape: tuple[int, int]) -> None:
+    """Wherever a line lies: a picture's border, nowhere, at infinity. Nothing is told, and nothing breaks."""
+    ask = numba.njit(lambda *given: fetch_line(*given), error_model="numpy")
+    picture = np.zeros((*shape, 3), np.uint8)[:, ::-1]
+    for place in (0.0, 0.5, 39.0, -1e300, np.nan, np.inf):
+        ask(picture, (place, place), (0.6, 0.8), -30.0, 30.0, 5)
 
 
 def gray(picture: Picture) -> Picture:

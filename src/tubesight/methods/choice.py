@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -211,8 +212,8 @@ def _is_tube(fit: Fit, radius_mm: float) -> bool:
 
 def roughness_px(problem: Problem) -> float:
     """Median deviation of the rows of the tube's edges, pixels."""
-    sides = problem.row_sd_px.reshape(-1, ROWS)[:, : ROWS - 1]
-    return float(np.median(sides))
+    deviations: list[float] = problem.row_sd_px.tolist()
+    return median(sd for row, sd in enumerate(deviations) if row % ROWS < ROWS - 1)
 
 
 def _coefficients(fit: Fit) -> tuple[Array, float]:
