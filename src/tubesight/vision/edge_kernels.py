@@ -179,7 +179,12 @@ def half_level(
     if not drop > 0:
         return np.nan, np.nan
     level = ground + drop / 2 + rise * sigma / ROOT_2_PI
-    reach = max(2.0, 2.5 * sigma)
+    return crossing(share, n, low, step, position, max(2.0, 2.5 * sigma), level), drop
+
+
+@part
+def crossing(share: Array, n: int, low: float, step: float, position: float, reach: float, level: float) -> float:
+    """Twin of `edges._crossing` for row n of (N, L)."""
     best, nearest = np.nan, np.inf
     first = max(int((position - reach - low) / step) - 1, 0)
     last = min(int((position + reach - low) / step) + 2, share.shape[1] - 1)
@@ -190,7 +195,7 @@ def half_level(
             off = abs(place - position)
             if off <= reach and off < nearest:
                 best, nearest = place, off
-    return best, drop
+    return best
 
 
 @part
@@ -274,6 +279,23 @@ def measure_edges(
     if help_needed and scatter(other) < rough:
         return other, other_drop, doubt_of(second, low, step, other, blur) + apart(other, position)
     return position, drop, doubt_of(share, low, step, position, blur) + apart(position, other)
+
+
+@part
+def displacement(colour: Array, behind: Array, low: float, step: float, gray: bool) -> float:
+    """Twin of `edges.displacement`."""
+    rows = len(colour) // 3
+    places, found, share = np.empty(rows), np.int64(0), np.empty((rows, colour.shape[1]))
+    tube, cloth = both_sides(colour, low, step, np.zeros(rows), edges.SIGMA_FIRST_PX, gray)
+    local_share(colour, behind, tube, cloth, 1.0, gray, share)
+    for n in range(rows):
+        high = mean_between(share, n, low, step, -edges.NEAR_PX[1], -edges.NEAR_PX[0])
+        level = (high + mean_between(share, n, low, step, edges.BEYOND_PX[0], edges.BEYOND_PX[1])) / 2
+        place = crossing(share, n, low, step, 0.0, edges.BEYOND_PX[0], level)
+        if np.isfinite(place):
+            places[found] = place
+            found += 1
+    return median(places, found) if 2 * found > rows else 0.0
 
 
 @part
