@@ -32,8 +32,8 @@ class PartCompiler(Compiler):
         """Compile a part."""
         state = self.state
         state.flags.no_compile = True
-        state.library = PartLibrary(state.targetctx.codegen(), func.__qualname__)
-        result = super().compile_extra(func)
+        state.library = PartLibrary(state.targetctx.codegen(), func.__qualname__)  # type: ignore[no-untyped-call]
+        result = super().compile_extra(func)  # type: ignore[no-untyped-call]
         # Numba tells functions apart by what Python would call, which must be built in; here there is nothing to call.
         # This method of the library takes a whole number: given arguments of the part, it raises TypeError.
         entry_point = state.library.__reduce_ex__
