@@ -29,7 +29,7 @@ _SOURCES = (
     "vision/*.py",
 )
 
-# Newest release of numba whose inner parts are as `parts` takes them (the oldest is the oldest that tubesight takes).
+# Newest release of numba whose inner parts are as `part_kernels` takes them; the oldest that tubesight takes is tried too.
 # With a newer one parts are compiled as all other functions are, which only takes longer.
 _TRIED = (0, 68)
 
@@ -108,7 +108,7 @@ def _part(function: F, inline: str) -> F:
         return function
     options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "inline": inline}
     if numba.version_info.short <= _TRIED:
-        from tubesight.core.parts import PartCompiler
+        from tubesight.core.part_kernels import PartCompiler
 
         options["pipeline_class"] = PartCompiler
     return cast(F, numba.njit(nogil=True, error_model="numpy", **options)(function))
