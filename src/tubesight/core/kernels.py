@@ -29,8 +29,8 @@ _SOURCES = (
     "vision/*.py",
 )
 
-# Newest release of numba whose inner parts are as `part_kernels` takes them; the oldest that tubesight takes is tried too.
-# With a newer one parts are compiled as all other functions are, which only takes longer.
+# Newest release of numba whose inner parts are as `part_kernels` takes them; 0.60, 0.63 and 0.68 were tried. With a
+# newer one parts are compiled as all other functions are, which only takes longer.
 _TRIED = (0, 68)
 
 # Folders of other states of the sources are removed when no process started with them for so long (that touches them).
