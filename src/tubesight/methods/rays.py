@@ -25,6 +25,11 @@ ROWS = 3
 # (limb shading), plus a share of its roughness: what roughens an edge also moves it.
 BIAS_PX = 0.2
 _ROW_PX, _ROW_SHARE = 0.04, 0.7
+# A row whose measurements agree to less than `_AGREE_PX` is charged with less, down to `_STILL_PX`, unless it is
+# rougher than `_SMOOTH_PX`. On 76 pairs of rendered photographs with known truth 48 of 304 rows of sides agreed so
+# well: they were tilted by 0.015 px, and by 0.006 px off what both sides of their view were off by (rms). Tips rougher
+# than 0.1 px were off by 0.24 px and more. 0.008 px: what the mean of 24 edges of 0.04 px is known to.
+_AGREE_PX, _SMOOTH_PX, _STILL_PX = 0.01, 0.1, 0.008
 # However smooth a row, no edge is known better than this: compression and shading move edges smoothly.
 _EDGE_PX = 0.06
 # Edges of a row that are used, evenly spread. The errors of a photograph's edges hang together along the tube: with all
@@ -183,7 +188,13 @@ def deviations(
     left, right = edge_sd_px.tolist()
     rough, doubt = (left, right, tip_rms_px), (*edge_doubt_px.tolist(), tip_doubt_px)
     row_sd = [math.hypot(_EDGE_PX, r) for r in (left, right, max(tip_rms_px, (left + right) / 2))]
-    return row_sd, [math.hypot(_ROW_PX, d + _ROW_SHARE * r) for d, r in zip(doubt, rough, strict=True)]
+    return row_sd, [_lobe_sd(d, r) for d, r in zip(doubt, rough, strict=True)]
+
+
+def _lobe_sd(doubt_px: float, rough_px: float) -> float:
+    """How far a whole row may be moved: fully charged from where its measurements disagree or it is rough."""
+    share = min(1.0, max(doubt_px, rough_px - _SMOOTH_PX) / _AGREE_PX)
+    return math.hypot(_STILL_PX, share * math.hypot(_ROW_PX, doubt_px + _ROW_SHARE * rough_px))
 
 
 class Optics(NamedTuple):
