@@ -35,6 +35,9 @@ _BEFORE_WIDTHS = 3.0
 # The colours just inside of an edge of a sharp picture are those 1 to 2 px from it: a tube needs more than twice that
 # much room. Edges of thinner ones are those of the walk, of which a whole row may be off by so much.
 _THIN_PX, _WALKED_PX = 6.0, 0.1
+# A camera that looks along the tube from above sees its first piece behind a clamp that is wider: a tube bends by less
+# than its width over so many widths.
+_HIDDEN_WIDTHS = (0.0, 2.5, 5.0)
 # Near the tip (widths) scans count only if they lie before it, by so many pixels and, at a flat end, widths.
 NEAR_WIDTHS, ROOM_PX, ROOM_FLAT_WIDTHS = 1.5, 2.0, 0.15
 # A tip whose contour is so smooth, and so much of it seen, is no corner of the tube: on photographs of bent tubes
@@ -154,12 +157,23 @@ def _notes(track: Track) -> tuple[str, ...]:
 
 
 def _from_base(run: Stages, image: Image, background: Image | None, start: Start) -> tuple[Signal, Track]:
-    """Walk from the clamp."""
+    """Walk from the clamp, or from a little farther on where a clamp wider than the tube hides its first piece."""
     if not 0 < start.width_px < max(image.shape[:2]):
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail=f"it would be {start.width_px:.0f} px wide at the base")
-    colours = run.learn(image, background, start.px, start.way, start.width_px)
+    failure = None
+    for widths in _HIDDEN_WIDTHS:
+        try:
+            return _walked(run, image, background, start, start.px + widths * start.width_px * start.way)
+        except Unmeasurable as caught:
+            failure = failure or caught
+    raise failure or Unmeasurable(Status.TUBE_NOT_FOUND)
+
+
+def _walked(run: Stages, image: Image, background: Image | None, start: Start, px: Array) -> tuple[Signal, Track]:
+    """Walk from a place (2,) on the axis of the clamp."""
+    colours = run.learn(image, background, px, start.way, start.width_px)
     signal = signal_of(image, background, colours)
-    track = run.walk_from_base(signal, start.px, start.way, start.width_px)
+    track = run.walk_from_base(signal, px, start.way, start.width_px)
     if track is None:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="no pair of edges beside the base")
     if len(track.middle_px) < PLACES_MIN and (longer := walk_on(run, signal, track, start.way)) is not None:
