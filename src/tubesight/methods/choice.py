@@ -56,15 +56,23 @@ _PROMISING_PX = 1.0
 TIP_OFF_PX = 2.0
 
 
+# Neighbouring pieces whose curvatures differ by less than this share of the largest may be one.
+_ALIKE = 0.3
+
+
 class _Level(NamedTuple):
-    """Families of one degree: a smooth curve in space, as many arcs as it can tell, a curve in a plane."""
+    """Families of one degree: smooth in space, as many arcs as that can tell, one arc less, smooth in a plane."""
 
     smooth: str
     pieces: str
+    fewer: str
     plane: str
 
 
-_BENDS = (_Level("spatial2", "arcs2", "polynomial2"), _Level("spatial4", "arcs3", "polynomial3"))
+_BENDS = (
+    _Level("spatial2", "arcs2", "circle", "polynomial2"),
+    _Level("spatial4", "arcs3", "arcs2", "polynomial3"),
+)
 
 # Finds a curve whatever its shape, where there is one.
 AnyShape = Callable[[], Curve3D | None]
@@ -104,7 +112,7 @@ def choose_family(problem: Problem, tip: Array, any_shape: AnyShape, family: str
         return problem, circle, ""
     fits = {"circle": circle}
     if _bends_once(rough):
-        fits["ellipse"] = _tried(problem, FAMILIES["ellipse"], ellipse_like(_plane_like(rough)))
+        _add_ellipse(problem, fits, rough)
     best, plausible = _best_of(fits, problem)
     for level, enough in zip(_BENDS, (noise, _GOOD_PX), strict=True):
         if best <= enough:
@@ -114,6 +122,7 @@ def choose_family(problem: Problem, tip: Array, any_shape: AnyShape, family: str
     general, found = problem, dict[str, Fit]()
     if best > _GOOD_PX:
         general, found = _fit_splines(problem, rough, any_shape)
+        found = {name: fit for name, fit in found.items() if name not in fits or fit.rms_px < fits[name].rms_px}
         best, plausible = _best_of(fits | found, problem)
     chosen = next(fit for fit in sorted(plausible, key=lambda f: f.family.count) if _explains(fit, best, family))
     return general if chosen.family.name in found else problem, chosen, _why(chosen, fits)
@@ -138,12 +147,22 @@ def _tried(problem: Problem, family: Family, guess: Array, steps: int = _TRIED_S
     return fit_family(problem, family, fit.parameters) if fit.rms_px <= _TRIED_PX else fit
 
 
-def _bends_once(rough: Fit) -> bool:
-    """Whether a polynomial bends in one plane and to one side, nearly."""
-    coefficients, _ = _coefficients(rough)
-    way, out = _plane_of(coefficients)
-    bending = (coefficients @ way @ BASIS_ENDS[: len(coefficients), :: INTERVALS // 2]).tolist()
-    low, high = sorted([min(bending), max(bending)], key=abs)
+def _add_ellipse(problem: Problem, fits: dict[str, Fit], rough: Fit) -> None:
+    """Add the fit of an ellipse like a polynomial, where none is near yet."""
+    if "ellipse" not in fits or fits["ellipse"].rms_px > _TRIED_PX:
+        guess = np.append(ellipse_like(_plane_like(rough)), rough.parameters[rough.family.count :])
+        fits["ellipse"] = _tried(problem, FAMILIES["ellipse"], guess)
+
+
+def _bends_once(fit: Fit) -> bool:
+    """Whether a polynomial or a chain of pieces bends in one plane and to one side, nearly."""
+    if fit.family.name.startswith("arcs"):
+        bending = fit.parameters[: 2 * (fit.family.count // 3)].reshape(-1, 2)
+    else:
+        coefficients, _ = _coefficients(fit)
+        bending = BASIS_ENDS[: len(coefficients), :: INTERVALS // 2].T @ coefficients
+    way, out = _plane_of(bending)
+    low, high = sorted([float((bending @ way).min()), float((bending @ way).max())], key=abs)
     return out <= _OUT_OF_PLANE and low * math.copysign(1.0, high) >= -_BACK * abs(high)
 
 
@@ -174,9 +193,14 @@ def _fit_level(problem: Problem, level: _Level, fits: dict[str, Fit], rough: Fit
     """
     smooth, pieces = FAMILIES[level.smooth], FAMILIES[level.pieces]
     fits[level.pieces] = _tried(problem, pieces, _pieces_like(rough, pieces))
-    if fits[level.pieces].rms_px <= roughness_px(problem):
-        return rough
     near = fits[level.pieces].rms_px <= _TRIED_PX
+    if near and _bends_once(fits[level.pieces]):
+        _add_ellipse(problem, fits, rough)
+    merged = _merged(fits[level.pieces]) if near and fits[level.fewer].rms_px > _TRIED_PX else None
+    if merged is not None:
+        fits[level.fewer] = fit_family(problem, FAMILIES[level.fewer], merged, _TRIED_PX)
+    if fits[level.pieces].rms_px <= min(roughness_px(problem), SIMPLEST_WITHIN * rough.rms_px):
+        return rough
     worth_px = fits[level.pieces].rms_px / SIMPLEST_WITHIN if near else np.inf
     if rough.family is not smooth:
         rough = fit_family(problem, smooth, _smooth_like(rough, smooth), worth_px, 2 * _ROUGH_STEPS)
@@ -188,10 +212,8 @@ def _fit_level(problem: Problem, level: _Level, fits: dict[str, Fit], rough: Fit
         rough = fits[level.smooth] = fit_family(problem, smooth, rough.parameters, worth_px)
     # The plane curves are space curves of the same degree: they explain no more than that.
     if rough.rms_px <= _GOOD_PX:
-        guess = _plane_like(rough)
-        fits[level.plane] = fit_family(problem, FAMILIES[level.plane], guess)
-        if "ellipse" not in fits:
-            fits["ellipse"] = _tried(problem, FAMILIES["ellipse"], ellipse_like(guess))
+        fits[level.plane] = fit_family(problem, FAMILIES[level.plane], _plane_like(rough))
+        _add_ellipse(problem, fits, rough)
     return rough
 
 
@@ -265,20 +287,35 @@ def _smooth_like(rough: Fit, family: Family) -> Array:
     coefficients, length = _coefficients(rough)
     guess = np.zeros(family.count)
     guess[: coefficients.size], guess[-1] = coefficients.ravel(), length
-    return guess
+    return np.append(guess, rough.parameters[rough.family.count :])
 
 
 def _pieces_like(smooth: Fit, family: Family) -> Array:
     """First guess of a chain of arcs: equal pieces that turn as much as those of a polynomial in space."""
     coefficients, length = _coefficients(smooth)
     count = family.count // 3
-    return np.concatenate([bends_of_pieces(coefficients, count).ravel(), np.zeros(count - 1), [length]])
+    bends, base = bends_of_pieces(coefficients, count), smooth.parameters[smooth.family.count :]
+    return np.concatenate([bends.ravel(), np.zeros(count - 1), [length], base])
+
+
+def _merged(pieces: Fit) -> Array | None:
+    """First guess of a chain of one piece less, the two neighbours most alike made one; None where none are alike."""
+    count = pieces.family.count // 3
+    bends = pieces.parameters[: 2 * count].reshape(count, 2)
+    share = np.exp(np.append(pieces.parameters[2 * count : 3 * count - 1], 0.0))
+    curvature = bends / share[:, None]
+    apart = np.sqrt((np.diff(curvature, axis=0) ** 2).sum(1))
+    k = int(apart.argmin())
+    if apart[k] > _ALIKE * np.sqrt((curvature**2).sum(1).max()):
+        return None
+    bends, share = (np.add.reduceat(each, np.delete(np.arange(count), k + 1)) for each in (bends, share))
+    return np.concatenate([bends.ravel(), np.log(share[:-1] / share[-1]), pieces.parameters[3 * count - 1 :]])
 
 
 def _plane_of(coefficients: Array) -> tuple[Array, float]:
-    """Direction (2,) of the plane that holds most of the bending by coefficients (K, 2), and the share that leaves it.
+    """Direction (2,) of the plane that holds most of bend vectors or coefficients (K, 2), and the share that leaves it.
 
-    The axes of the moments ``C^T C``: the angle of the larger one is ``atan2(2 xy, xx - yy) / 2``.
+    The axes of their moments ``C^T C``: the angle of the larger one is ``atan2(2 xy, xx - yy) / 2``.
     """
     (xx, xy), (_, yy) = (coefficients.T @ coefficients).tolist()
     spread, angle = math.hypot(xx - yy, 2 * xy), math.atan2(2 * xy, xx - yy) / 2
