@@ -17,9 +17,10 @@ import numpy as np
 
 from tubesight.core import Array, Status, Unmeasurable
 from tubesight.geometry.curve import Curve3D
-from tubesight.geometry.families import BASIS_ENDS, FAMILIES, INTERVALS, Family, bends_of_pieces, ellipse_like, turns_of
+from tubesight.geometry.families import FAMILIES, INTERVALS, Family, turns_of
 from tubesight.methods.fit import Fit, fit_family
 from tubesight.methods.general import SIMPLEST_WITHIN, frame_along, general_fits, placed, turns_by
+from tubesight.methods.guesses import bends_once, like_ellipse, merged_pieces, pieces_like, plane_like, smooth_like
 from tubesight.methods.rays import ROWS, Problem
 
 # No family with a larger rms is an answer.
@@ -41,12 +42,9 @@ _SHARPEST = 0.7
 # A circle is challenged only where a few steps of a polynomial lower its rms by this factor: `SIMPLEST_WITHIN` is
 # farther away.
 _WORTH, _FEW_STEPS = 1.15, 2
-# Steps of a smooth curve in space that other families start from: on 79 robots of two segments and S-shapes the right
-# pieces were found after 2 to 8 steps alike, and 146 of 154 ellipses told from them after 3, all but two after 6.
+# Steps of a smooth curve in space that other families start from: the two right pieces came near from it on all of 79
+# S-shapes and robots of two segments, as after twice as many steps; `bends_once` told most ellipses.
 _ROUGH_STEPS = 4
-# Largest bending out of the plane, and back in it, of a curve that bends once, as shares of the largest bending: on 152
-# of the ellipses below both, on 2 of the robots.
-_OUT_OF_PLANE, _BACK = 0.25, 0.15
 # A family is fitted to its end where so many steps leave no more than this rms: right ones left 0 to 0.9 px on 156
 # shapes of one to three bends (ellipses: 1.3 px), wrong ones 1.6 px and more on nine in ten.
 _TRIED_STEPS, _TRIED_PX = 6, 1.5
@@ -54,10 +52,6 @@ _TRIED_STEPS, _TRIED_PX = 6, 1.5
 _PROMISING_PX = 1.0
 # Median distance of the edges of a tip from its model, above which the curve ends elsewhere. On photographs: 0.5 px.
 TIP_OFF_PX = 2.0
-
-
-# Neighbouring pieces whose curvatures differ by less than this share of the largest may be one.
-_ALIKE = 0.3
 
 
 class _Level(NamedTuple):
@@ -111,7 +105,7 @@ def choose_family(problem: Problem, tip: Array, any_shape: AnyShape, family: str
     if rough.rms_px > challenged_px and circle.rms_px <= (noise if circle.rms_px <= _GOOD_PX else RMS_MAX_PX):
         return problem, circle, ""
     fits = {"circle": circle}
-    if _bends_once(rough):
+    if bends_once(rough):
         _add_ellipse(problem, fits, rough)
     best, plausible = _best_of(fits, problem)
     for level, enough in zip(_BENDS, (noise, _GOOD_PX), strict=True):
@@ -150,20 +144,7 @@ def _tried(problem: Problem, family: Family, guess: Array, steps: int = _TRIED_S
 def _add_ellipse(problem: Problem, fits: dict[str, Fit], rough: Fit) -> None:
     """Add the fit of an ellipse like a polynomial, where none is near yet."""
     if "ellipse" not in fits or fits["ellipse"].rms_px > _TRIED_PX:
-        guess = np.append(ellipse_like(_plane_like(rough)), rough.parameters[rough.family.count :])
-        fits["ellipse"] = _tried(problem, FAMILIES["ellipse"], guess)
-
-
-def _bends_once(fit: Fit) -> bool:
-    """Whether a polynomial or a chain of pieces bends in one plane and to one side, nearly."""
-    if fit.family.name.startswith("arcs"):
-        bending = fit.parameters[: 2 * (fit.family.count // 3)].reshape(-1, 2)
-    else:
-        coefficients, _ = _coefficients(fit)
-        bending = BASIS_ENDS[: len(coefficients), :: INTERVALS // 2].T @ coefficients
-    way, out = _plane_of(bending)
-    low, high = sorted([float((bending @ way).min()), float((bending @ way).max())], key=abs)
-    return out <= _OUT_OF_PLANE and low * math.copysign(1.0, high) >= -_BACK * abs(high)
+        fits["ellipse"] = _tried(problem, FAMILIES["ellipse"], like_ellipse(rough))
 
 
 def _eased(name: str, family: str) -> float:
@@ -192,27 +173,27 @@ def _fit_level(problem: Problem, level: _Level, fits: dict[str, Fit], rough: Fit
         The smooth curve of this level, or `rough` where pieces made it needless.
     """
     smooth, pieces = FAMILIES[level.smooth], FAMILIES[level.pieces]
-    fits[level.pieces] = _tried(problem, pieces, _pieces_like(rough, pieces))
+    fits[level.pieces] = _tried(problem, pieces, pieces_like(rough, pieces))
     near = fits[level.pieces].rms_px <= _TRIED_PX
-    if near and _bends_once(fits[level.pieces]):
+    if near and bends_once(fits[level.pieces]):
         _add_ellipse(problem, fits, rough)
-    merged = _merged(fits[level.pieces]) if near and fits[level.fewer].rms_px > _TRIED_PX else None
+    merged = merged_pieces(fits[level.pieces]) if near and fits[level.fewer].rms_px > _TRIED_PX else None
     if merged is not None:
         fits[level.fewer] = fit_family(problem, FAMILIES[level.fewer], merged, _TRIED_PX)
     if fits[level.pieces].rms_px <= min(roughness_px(problem), SIMPLEST_WITHIN * rough.rms_px):
         return rough
     worth_px = fits[level.pieces].rms_px / SIMPLEST_WITHIN if near else np.inf
     if rough.family is not smooth:
-        rough = fit_family(problem, smooth, _smooth_like(rough, smooth), worth_px, 2 * _ROUGH_STEPS)
+        rough = fit_family(problem, smooth, smooth_like(rough, smooth), worth_px, 2 * _ROUGH_STEPS)
         if not near:
-            fits[level.pieces] = _tried(problem, pieces, _pieces_like(rough, pieces), 2 * _TRIED_STEPS)
+            fits[level.pieces] = _tried(problem, pieces, pieces_like(rough, pieces), 2 * _TRIED_STEPS)
     elif not near:
         rough = fit_family(problem, smooth, rough.parameters, _GOOD_PX, 2 * _ROUGH_STEPS)
     if rough.rms_px <= _PROMISING_PX:
         rough = fits[level.smooth] = fit_family(problem, smooth, rough.parameters, worth_px)
     # The plane curves are space curves of the same degree: they explain no more than that.
     if rough.rms_px <= _GOOD_PX:
-        fits[level.plane] = fit_family(problem, FAMILIES[level.plane], _plane_like(rough))
+        fits[level.plane] = fit_family(problem, FAMILIES[level.plane], plane_like(rough))
         _add_ellipse(problem, fits, rough)
     return rough
 
@@ -272,59 +253,3 @@ def roughness_px(problem: Problem) -> float:
     """Median deviation of the rows of the tube's edges, pixels."""
     sides = problem.row_sd_px.reshape(-1, ROWS)[:, : ROWS - 1]
     return statistics.median(sides.ravel().tolist())
-
-
-def _coefficients(fit: Fit) -> tuple[Array, float]:
-    """Coefficients (K, 2) of the curvatures of a polynomial, in a plane or in space, and the length of its curve."""
-    p = fit.parameters[: fit.family.count]
-    if fit.family.name.startswith("spatial"):
-        return p[:-1].reshape(-1, 2), float(p[-1])
-    return np.outer(p[1:-1], [np.cos(p[0]), np.sin(p[0])]), float(p[-1])
-
-
-def _smooth_like(rough: Fit, family: Family) -> Array:
-    """First guess of a polynomial in space: another one with fewer coefficients."""
-    coefficients, length = _coefficients(rough)
-    guess = np.zeros(family.count)
-    guess[: coefficients.size], guess[-1] = coefficients.ravel(), length
-    return np.append(guess, rough.parameters[rough.family.count :])
-
-
-def _pieces_like(smooth: Fit, family: Family) -> Array:
-    """First guess of a chain of arcs: equal pieces that turn as much as those of a polynomial in space."""
-    coefficients, length = _coefficients(smooth)
-    count = family.count // 3
-    bends, base = bends_of_pieces(coefficients, count), smooth.parameters[smooth.family.count :]
-    return np.concatenate([bends.ravel(), np.zeros(count - 1), [length], base])
-
-
-def _merged(pieces: Fit) -> Array | None:
-    """First guess of a chain of one piece less, the two neighbours most alike made one; None where none are alike."""
-    count = pieces.family.count // 3
-    bends = pieces.parameters[: 2 * count].reshape(count, 2)
-    share = np.exp(np.append(pieces.parameters[2 * count : 3 * count - 1], 0.0))
-    curvature = bends / share[:, None]
-    apart = np.sqrt((np.diff(curvature, axis=0) ** 2).sum(1))
-    k = int(apart.argmin())
-    if apart[k] > _ALIKE * np.sqrt((curvature**2).sum(1).max()):
-        return None
-    bends, share = (np.add.reduceat(each, np.delete(np.arange(count), k + 1)) for each in (bends, share))
-    return np.concatenate([bends.ravel(), np.log(share[:-1] / share[-1]), pieces.parameters[3 * count - 1 :]])
-
-
-def _plane_of(coefficients: Array) -> tuple[Array, float]:
-    """Direction (2,) of the plane that holds most of bend vectors or coefficients (K, 2), and the share that leaves it.
-
-    The axes of their moments ``C^T C``: the angle of the larger one is ``atan2(2 xy, xx - yy) / 2``.
-    """
-    (xx, xy), (_, yy) = (coefficients.T @ coefficients).tolist()
-    spread, angle = math.hypot(xx - yy, 2 * xy), math.atan2(2 * xy, xx - yy) / 2
-    most, least = xx + yy + spread, max(xx + yy - spread, 0.0)
-    return np.array([math.cos(angle), math.sin(angle)]), math.sqrt(least / most) if most > 0 else 0.0
-
-
-def _plane_like(smooth: Fit) -> Array:
-    """First guess of a polynomial of a degree less or the same, in the plane that holds most of a curve's bending."""
-    coefficients, length = _coefficients(smooth)
-    way, _ = _plane_of(coefficients)
-    return np.concatenate([[math.atan2(way[1], way[0])], (coefficients @ way)[:4], [length]])
