@@ -105,8 +105,7 @@ def choose_family(problem: Problem, tip: Array, any_shape: AnyShape, family: str
     if rough.rms_px > challenged_px and circle.rms_px <= (noise if circle.rms_px <= _GOOD_PX else RMS_MAX_PX):
         return problem, circle, ""
     fits = {"circle": circle}
-    if bends_once(rough):
-        _add_ellipse(problem, fits, rough)
+    _add_ellipse(problem, fits, rough)
     best, plausible = _best_of(fits, problem)
     for level, enough in zip(_BENDS, (noise, _GOOD_PX), strict=True):
         if best <= enough:
@@ -142,9 +141,12 @@ def _tried(problem: Problem, family: Family, guess: Array, steps: int = _TRIED_S
 
 
 def _add_ellipse(problem: Problem, fits: dict[str, Fit], rough: Fit) -> None:
-    """Add the fit of an ellipse like a polynomial, where none is near yet."""
-    if "ellipse" not in fits or fits["ellipse"].rms_px > _TRIED_PX:
-        fits["ellipse"] = _tried(problem, FAMILIES["ellipse"], like_ellipse(rough))
+    """Add the fit of an ellipse like another curve that bends once, where none is as good yet."""
+    known_px = fits["ellipse"].rms_px if "ellipse" in fits else np.inf
+    if known_px > SIMPLEST_WITHIN * rough.rms_px and bends_once(rough):
+        fit = _tried(problem, FAMILIES["ellipse"], like_ellipse(rough))
+        if fit.rms_px < known_px:
+            fits["ellipse"] = fit
 
 
 def _eased(name: str, family: str) -> float:
@@ -175,8 +177,8 @@ def _fit_level(problem: Problem, level: _Level, fits: dict[str, Fit], rough: Fit
     smooth, pieces = FAMILIES[level.smooth], FAMILIES[level.pieces]
     fits[level.pieces] = _tried(problem, pieces, pieces_like(rough, pieces))
     near = fits[level.pieces].rms_px <= _TRIED_PX
-    if near and bends_once(fits[level.pieces]):
-        _add_ellipse(problem, fits, rough)
+    if near:
+        _add_ellipse(problem, fits, fits[level.pieces])
     merged = merged_pieces(fits[level.pieces]) if near and fits[level.fewer].rms_px > _TRIED_PX else None
     if merged is not None:
         fits[level.fewer] = fit_family(problem, FAMILIES[level.fewer], merged, _TRIED_PX)
@@ -189,6 +191,7 @@ def _fit_level(problem: Problem, level: _Level, fits: dict[str, Fit], rough: Fit
             fits[level.pieces] = _tried(problem, pieces, pieces_like(rough, pieces), 2 * _TRIED_STEPS)
     elif not near:
         rough = fit_family(problem, smooth, rough.parameters, _GOOD_PX, 2 * _ROUGH_STEPS)
+        _add_ellipse(problem, fits, rough)
     if rough.rms_px <= _PROMISING_PX:
         rough = fits[level.smooth] = fit_family(problem, smooth, rough.parameters, worth_px)
     # The plane curves are space curves of the same degree: they explain no more than that.

@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.geometry.families import BASIS_ENDS, INTERVALS, Family, bends_of_pieces, ellipse_like
+from tubesight.geometry.families import BASIS_ENDS, INTERVALS, Family, bends_of_pieces, ellipse_like, spatial_like
 from tubesight.methods.fit import Fit
+from tubesight.methods.general import turns_by
 
 # Largest bending out of the plane, and back in it, of a curve that bends once, as shares of the largest bending: both
 # are smaller on 149 of 154 ellipses, 2 of 79 S-shapes and robots of two segments and none of 34 of three.
@@ -30,11 +31,16 @@ def bends_once(fit: Fit) -> bool:
 
 
 def _coefficients(fit: Fit) -> tuple[Array, float]:
-    """Coefficients (K, 2) of the curvatures of a polynomial, in a plane or in space, and the length of its curve."""
+    """Coefficients (K, 2) of the curvatures of a polynomial, in a plane or in space, and the length of its curve.
+
+    Those of pieces are of a polynomial of degree 2 that turns like them.
+    """
     p = fit.parameters[: fit.family.count]
-    if fit.family.name.startswith("spatial"):
-        return p[:-1].reshape(-1, 2), float(p[-1])
-    return np.outer(p[1:-1], [np.cos(p[0]), np.sin(p[0])]), float(p[-1])
+    if fit.family.name.startswith("polynomial"):
+        return np.outer(p[1:-1], [np.cos(p[0]), np.sin(p[0])]), float(p[-1])
+    if fit.family.name.startswith("arcs"):
+        p = spatial_like(turns_by(fit), p[-1], 3)
+    return p[:-1].reshape(-1, 2), float(p[-1])
 
 
 def smooth_like(rough: Fit, family: Family) -> Array:
@@ -87,6 +93,6 @@ def plane_like(smooth: Fit) -> Array:
 
 
 def like_ellipse(smooth: Fit) -> Array:
-    """First guess of an ellipse that bends as a polynomial does at its start, middle and end."""
+    """First guess of an ellipse that bends as a polynomial, or one like pieces, does at its start, middle and end."""
     polynomial, base = np.split(plane_like(smooth), [-(len(smooth.parameters) - smooth.family.count)])
     return np.append(ellipse_like(polynomial), base)
