@@ -48,6 +48,9 @@ _ROUGH_STEPS = 4
 # A family is fitted to its end where so many steps leave no more than this rms: right ones left 0 to 0.9 px on 156
 # shapes of one to three bends (ellipses: 1.3 px), wrong ones 1.6 px and more on nine in ten.
 _TRIED_STEPS, _TRIED_PX = 6, 1.5
+# Pieces that leave up to this many deviations of the edges are not compared with smooth curves: on photographs right
+# ones leave 0.4 to 1.3.
+_ROUGH_AS_EDGES = 1.25
 # A smooth curve that is farther off after its few steps is not the answer.
 _PROMISING_PX = 1.0
 # Median distance of the edges of a tip from its model, above which the curve ends elsewhere. On photographs: 0.5 px.
@@ -182,7 +185,7 @@ def _fit_level(problem: Problem, level: _Level, fits: dict[str, Fit], rough: Fit
     merged = merged_pieces(fits[level.pieces]) if near and fits[level.fewer].rms_px > _TRIED_PX else None
     if merged is not None:
         fits[level.fewer] = fit_family(problem, FAMILIES[level.fewer], merged, _TRIED_PX)
-    if fits[level.pieces].rms_px <= min(roughness_px(problem), SIMPLEST_WITHIN * rough.rms_px):
+    if fits[level.pieces].rms_px <= min(_ROUGH_AS_EDGES * roughness_px(problem), SIMPLEST_WITHIN * rough.rms_px):
         return rough
     worth_px = fits[level.pieces].rms_px / SIMPLEST_WITHIN if near else np.inf
     if rough.family is not smooth:
