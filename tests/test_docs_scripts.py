@@ -65,7 +65,7 @@ def test_the_page_has_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_table_of_families(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Times are only printed. The choice is at most 1.2 times as far off as the best family, or 0.01 mm more (noise)."""
+    """Times are only printed. The choice is at most 1.2 times as far off as the best family, or 0.01 mm more: noise."""
     families = script("families", monkeypatch)
     monkeypatch.setattr(families, "RUNS", 1)
     rig = rig_around(90.0, size_px=(960, 540))
