@@ -15,6 +15,10 @@ def curve(family: str, parameters: list[float], start: Pose | None = None) -> No
     return nodes_of(f, np.append(parameters, np.zeros(4)), start or Pose.identity())
 
 
+# How far measurements of a row lie apart where there is shading: on photographs, from which all of it is expected.
+DOUBT_PX = 0.01
+
+
 def views_of(
     nodes: Nodes,
     rig: Rig,
@@ -26,6 +30,7 @@ def views_of(
     """Views of both cameras: edges of the tube up to its tip and contour of the tip.
 
     White noise on all of them; `shading_px` moves each row of edges as a whole and tilts it, and moves the contour.
+    Where it does, measurements of a row disagree by `DOUBT_PX`.
     """
     rng = rng or np.random.default_rng(0)
     return {name: _view(nodes, rig, name, tube, noise_px, rng, shading_px) for name in rig.names}
@@ -70,7 +75,7 @@ def _view(
         base / base[2],
         _tip(nodes, rig, name, tube, ball, noise_px, rng, shading_px),
         np.full(2, sd),
-        np.zeros(2),
+        np.full(2, DOUBT_PX if shading_px else 0.0),
         0.8,
         "made for a test",
     )
@@ -103,4 +108,4 @@ def _tip(
         around = np.cos(angle) * np.cross(one, axis) + np.sin(angle) * one
         contour = camera.project(np.cos(half) * axis + np.sin(half) * around)
     contour = contour + rng.normal(size=contour.shape) * noise_px + rng.normal(size=2) * shading_px
-    return TipView(axis, camera.project(tip), half, contour, max(noise_px, 0.02), 0.0)
+    return TipView(axis, camera.project(tip), half, contour, max(noise_px, 0.02), DOUBT_PX if shading_px else 0.0)

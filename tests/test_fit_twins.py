@@ -210,19 +210,23 @@ def test_movement_of_a_short_step() -> None:
 
 @pytest.mark.parametrize("most", [5, 24, 1000])
 @pytest.mark.parametrize("tip_most", [0, 7, 1000])
-def test_rows_of_a_view_agree(most: int, tip_most: int) -> None:
-    view = next(iter(views_of(curve("circle", [0.5, 0.3, 150.0]), RIG, BALL, 0.1).values()))
-    rotation, camera = RIG.camera_from_base[view.camera].rotation, RIG.cameras[view.camera]
-    contour = view.tip.contour_px[rays.spread(len(view.tip.contour_px), tip_most)]
-    given = (view.edge_rays, view.centreline_px, view.tip.px)
-    wants = rows_of_view(*given, contour, camera.unproject(contour), rotation, most)
-    n = len(wants[1])
-    got = (np.empty((n, 3)), np.empty(n), np.empty((n, 2)))
-    known = rays.lens(camera)
+def test_rows_of_views_agree(most: int, tip_most: int) -> None:
+    views = views_of(curve("circle", [0.5, 0.3, 150.0]), RIG, BALL, 0.1)
+    sight, wants, counts = rays.optics(RIG, tuple(views)), [], [0]
+    for view, rotation in zip(views.values(), sight.rotation, strict=True):
+        contour = view.tip.contour_px[rays.spread(len(view.tip.contour_px), tip_most)]
+        contour_rays = RIG.cameras[view.camera].unproject(contour)
+        given = (view.edge_rays, view.centreline_px, view.tip.px, contour, contour_rays, rotation)
+        wants.append(rows_of_view(*given, most))
+        sides = min(len(view.edge_rays), most)
+        counts += [sides, sides, len(contour)]
+    known = rays.lenses(RIG, tuple(views))
     assert known is not None
-    assert ray_kernels.gather(*given, view.tip.contour_px, *known, rotation, most, tip_most, *got)
-    for one, want in zip(got, wants, strict=True):
-        np.testing.assert_allclose(one, want, **CLOSE)
+    *got, row_start, finite = ray_kernels.gather(*rays.flat(views), *known, sight.rotation, most, tip_most)
+    assert finite
+    assert list(row_start) == list(np.cumsum(counts))
+    for one, want in zip(got, zip(*wants, strict=True), strict=True):
+        np.testing.assert_allclose(one, np.concatenate(want), **CLOSE)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fit_scenes import curve, views_of
+from fit_scenes import DOUBT_PX, curve, views_of
 from tubesight.core import Tip, Tube
 from tubesight.geometry.curve import NodeCurve
 from tubesight.geometry.families import FAMILIES, Nodes, ellipse_like, nodes_of
@@ -13,6 +13,7 @@ from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig, RigCovariance
 from tubesight.geometry.shape import shape_of
 from tubesight.methods import METHODS
+from tubesight.methods.rays import deviations
 from tubesight.simulate import rig_around
 from tubesight.vision.view import View
 
@@ -95,21 +96,34 @@ def test_bends_fade_into_straight_without_a_jump() -> None:
     np.testing.assert_allclose(known, np.degrees(np.arctan2(0.8, 0.6)), atol=19)
 
 
+@pytest.mark.parametrize("shaded", [True, False], ids=["shaded", "noise"])
 @pytest.mark.parametrize("name", ["circle", "arcs2"])
-def test_deviations_are_honest(name: str) -> None:
-    """Normalised errors of the tip under noise and shading as large as expected: their mean square is 1.
+def test_deviations_are_honest(name: str, shaded: bool) -> None:
+    """Normalised errors of the tip under noise, and under shading as large as expected: their mean square is 1.
 
-    Bias of the views, doubt of the tip and clamp are expected but absent here, so that it may be smaller. 40 draws of 3
-    nearly independent numbers scatter by sqrt(2 / 120) = 0.13: four of them above 1.
+    Bias of the views and clamp are expected but absent here, so that it may be smaller. 40 draws of 3 nearly
+    independent numbers scatter by sqrt(2 / 120) = 0.13: four of them above 1.
     """
     nodes = curve(name, SHAPES[name])
+    # What `rays.deviations` expects of rows of this roughness, where their measurements disagree by `DOUBT_PX`.
+    shading_px = float(np.hypot(0.04, DOUBT_PX + 0.7 * 0.06)) if shaded else 0.0
     squares = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        found = measured(nodes, BALL, noise_px=0.06, rng=rng, shading_px=float(np.hypot(0.04, 0.7 * 0.06)))
+        found = measured(nodes, BALL, noise_px=0.06, rng=rng, shading_px=shading_px)
         displaced = np.array([c.points_mm[-1] for c in found.from_picture]) - found.points_mm[-1]
         squares.append((found.points_mm[-1] - nodes.points[-1]) ** 2 / (displaced**2).sum(0))
     assert 0.3 < np.mean(squares) < 1.5
+
+
+def test_rows_that_agree_are_charged_with_less() -> None:
+    """From agreeing rows to disagreeing ones what a row may be moved by grows, and so it does with their roughness."""
+    lobes = [deviations(np.full(2, 0.06), 0.06, np.full(2, doubt), doubt)[1] for doubt in (0.0, 0.005, 0.01, 0.02)]
+    assert (np.diff(lobes, axis=0) > 0).all()
+    # Less than a quarter of what the same row is charged with where its measurements disagree.
+    assert lobes[0][0] < 0.25 * lobes[2][0]
+    smooth, rough = (deviations(np.full(2, r), r, np.zeros(2), 0.0)[1][0] for r in (0.1, 0.2))
+    assert rough > 10 * smooth, "what roughens a row also moves it, however well its measurements agree"
 
 
 def test_calibration_counts() -> None:

@@ -19,6 +19,7 @@ def drawn_tube(
     length: float = 95.0,
     noise: float = 0.01,
     seed: int = 0,
+    steep: float = 2.2,
 ) -> Picture:
     """Draw a tube (H, W, C) that hangs from the middle of the upper part and bends to the right, with a ball."""
     rng = np.random.default_rng(seed)
@@ -29,7 +30,7 @@ def drawn_tube(
     inside = np.minimum(width / 2 - across, np.minimum(y - start, start + length - y))
     end = np.hypot(x - (size[1] / 2 + bend * length**2), y - (start + length))
     field = np.maximum(inside, ball * width / 2 - end)
-    share = 1 / (1 + np.exp(-2.2 * field))[..., None]
+    share = 1 / (1 + np.exp(-steep * field))[..., None]
     shade = 1 - 0.25 * np.clip(x - middle, -width, width)[..., None] / width
     light = share * np.array(tube) * shade + (1 - share) * np.array(cloth)
     light = np.clip(light + noise * rng.standard_normal(light.shape), 0, 1)

@@ -29,6 +29,10 @@ _SOURCES = (
     "vision/*.py",
 )
 
+# Newest release of numba whose inner parts are as `part_kernels` takes them; 0.60, 0.63 and 0.68 were tried. With a
+# newer one parts are compiled as all other functions are, which only takes longer.
+_TRIED = (0, 68)
+
 # Folders of other states of the sources are removed when no process started with them for so long (that touches them).
 _KEPT_S = 30 * 86400.0
 
@@ -103,4 +107,8 @@ def _part(function: F, inline: str) -> F:
     if not COMPILED:
         return function
     options: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "inline": inline}
+    if numba.version_info.short <= _TRIED:
+        from tubesight.core.part_kernels import PartCompiler
+
+        options["pipeline_class"] = PartCompiler
     return cast(F, numba.njit(nogil=True, error_model="numpy", **options)(function))

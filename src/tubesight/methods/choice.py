@@ -9,8 +9,8 @@ another method finds.
 from __future__ import annotations
 
 import math
-import statistics
 from collections.abc import Callable, Mapping
+from statistics import median
 from typing import NamedTuple
 
 import numpy as np
@@ -257,5 +257,5 @@ def _is_tube(fit: Fit, radius_mm: float) -> bool:
 
 def roughness_px(problem: Problem) -> float:
     """Median deviation of the rows of the tube's edges, pixels."""
-    sides = problem.row_sd_px.reshape(-1, ROWS)[:, : ROWS - 1]
-    return statistics.median(sides.ravel().tolist())
+    deviations: list[float] = problem.row_sd_px.tolist()
+    return median(sd for row, sd in enumerate(deviations) if row % ROWS < ROWS - 1)

@@ -7,6 +7,8 @@ import numpy as np
 from tubesight.core import Array
 from tubesight.core.kernels import compiled, part
 
+Indices = np.ndarray[tuple[int], np.dtype[np.int64]]
+
 # Steps of Newton's method, and residual on the image plane at which it ends, as in `tubesight.geometry.lens`.
 _STEPS, _TOLERANCE = 20, 1e-14
 # Residual up to which a pixel counts as undistorted; others are left to the careful way.
@@ -107,51 +109,106 @@ def solve_three(a: Array, b: Array, x: Array) -> float:
 def gather(
     edge_rays: Array,
     centreline_px: Array,
-    tip_px: Array,
     contour_px: Array,
+    counts: Indices,
+    tip_px: Array,
     matrix: Array,
     k: Array,
     rotation: Array,
     most: int,
     tip_most: int,
+) -> tuple[Array, Array, Array, Indices, bool]:
+    """Twin of `tubesight.methods.rays.rows_of_view`, with the choice of contour points, for all views one by one.
+
+    The arrays are those of `tubesight.methods.rays.flat`, of `lenses` and of `Optics`. Returns direction, place, lobes
+    and the first ray of each of the three rows of a view, as in a `Problem`, and whether all numbers are finite: not
+    where a point of a contour cannot be undistorted here.
+    """
+    views = len(counts)
+    row_start = np.zeros(3 * views + 1, dtype=np.int64)
+    for view in range(views):
+        sides, at = min(counts[view, 0], most), row_start[3 * view]
+        row_start[3 * view + 1], row_start[3 * view + 2] = at + sides, at + 2 * sides
+        row_start[3 * view + 3] = at + 2 * sides + min(counts[view, 1], tip_most)
+    rays = row_start[3 * views]
+    direction, place, lobes = np.empty((rays, 3)), np.empty(rays), np.empty((rays, 2))
+    scan, point, total = 0, 0, 0.0
+    for view in range(views):
+        scans, points, first = counts[view, 0], counts[view, 1], row_start[3 * view]
+        gather_edges(
+            edge_rays, centreline_px, scan, scans, tip_px[view], rotation[view], most, first, direction, place, lobes
+        )
+        first = row_start[3 * view + 2]
+        gather_contour(
+            contour_px, point, points, tip_px[view], matrix[view], k[view], rotation[view], tip_most, first, direction,
+            place, lobes,
+        )  # fmt: skip
+        scan, point = scan + scans, point + points
+    for at in range(rays):
+        total += place[at] + lobes[at, 0] + lobes[at, 1] + direction[at, 0] + direction[at, 1] + direction[at, 2]
+    return direction, place, lobes, row_start, np.isfinite(total)
+
+
+@part
+def gather_edges(
+    edge_rays: Array,
+    centreline_px: Array,
+    scan: int,
+    scans: int,
+    tip_px: Array,
+    rotation: Array,
+    most: int,
+    first: int,
     direction: Array,
     place: Array,
     lobes: Array,
-) -> bool:
-    """Twin of `tubesight.methods.rays.rows_of_view` with the choice of contour points, written into the last three.
-
-    False where a number is not finite or a point of the contour cannot be undistorted here.
-    """
-    scans = len(edge_rays)
-    count, contour = min(scans, most), min(len(contour_px), tip_most)
-    chord, total = np.empty(scans + 1), 0.0
+) -> None:
+    """Write the rows of both sides of a view, whose scans begin with `scan`, from the place `first` on."""
+    chord = np.empty(scans + 1)
     chord[0] = 0.0
     for i in range(scans):
-        there = centreline_px[i + 1] if i + 1 < scans else tip_px
-        x, y = there[0] - centreline_px[i, 0], there[1] - centreline_px[i, 1]
+        there = centreline_px[scan + i + 1] if i + 1 < scans else tip_px
+        x, y = there[0] - centreline_px[scan + i, 0], there[1] - centreline_px[scan + i, 1]
         chord[i + 1] = chord[i] + np.sqrt(x * x + y * y)
+    count = min(scans, most)
     for j in range(count):
         i = evenly(j, scans, most)
         share = chord[i] / chord[scans]
         for side in range(2):
-            at = side * count + j
+            at, ray = first + side * count + j, edge_rays[scan + i, side]
             place[at], lobes[at, 0], lobes[at, 1] = share, 1.0, 2 * share - 1
-            turn_back(edge_rays[i, side, 0], edge_rays[i, side, 1], edge_rays[i, side, 2], rotation, direction[at])
-    used, rays = np.empty((contour, 2)), np.empty((contour, 3))
-    for j in range(contour):
-        used[j] = contour_px[evenly(j, len(contour_px), tip_most)]
+            turn_back(ray[0], ray[1], ray[2], rotation, direction[at])
+
+
+@part
+def gather_contour(
+    contour_px: Array,
+    point: int,
+    points: int,
+    tip_px: Array,
+    matrix: Array,
+    k: Array,
+    rotation: Array,
+    most: int,
+    first: int,
+    direction: Array,
+    place: Array,
+    lobes: Array,
+) -> None:
+    """Write the row of a view's tip, whose contour begins with `point`, from the place `first` on."""
+    count = min(points, most)
+    used = np.empty((count, 2))
+    for j in range(count):
+        used[j] = contour_px[point + evenly(j, points, most)]
     rays = undistorted(used, matrix, k)
-    for j in range(contour):
-        at = 2 * count + j
+    for j in range(count):
+        at = first + j
         place[at] = 1.0
         x, y = used[j, 0] - tip_px[0], used[j, 1] - tip_px[1]
         size = np.sqrt(x * x + y * y)
         lobes[at, 0], lobes[at, 1] = x / size, y / size
         size = np.sqrt(rays[j, 0] * rays[j, 0] + rays[j, 1] * rays[j, 1] + 1.0)
         turn_back(rays[j, 0] / size, rays[j, 1] / size, 1.0 / size, rotation, direction[at])
-    for at in range(len(place)):
-        total += place[at] + lobes[at, 0] + lobes[at, 1] + direction[at, 0] + direction[at, 1] + direction[at, 2]
-    return np.isfinite(total)  # type: ignore[no-any-return]
 
 
 @part

@@ -25,6 +25,11 @@ ROWS = 3
 # (limb shading), plus a share of its roughness: what roughens an edge also moves it.
 BIAS_PX = 0.2
 _ROW_PX, _ROW_SHARE = 0.04, 0.7
+# A row whose measurements agree to less than `_AGREE_PX` is charged with less, down to `_STILL_PX`, unless it is
+# rougher than `_SMOOTH_PX`. On 76 pairs of rendered photographs with known truth 48 of 304 rows of sides agreed so
+# well: they were tilted by 0.015 px, and by 0.006 px off what both sides of their view were off by (rms). Tips rougher
+# than 0.1 px were off by 0.24 px and more. 0.008 px: what the mean of 24 edges of 0.04 px is known to.
+_AGREE_PX, _SMOOTH_PX, _STILL_PX = 0.01, 0.1, 0.008
 # However smooth a row, no edge is known better than this: compression and shading move edges smoothly.
 _EDGE_PX = 0.06
 # Edges of a row that are used, evenly spread. The errors of a photograph's edges hang together along the tube: with all
@@ -133,48 +138,47 @@ def _gathered(
     views: Mapping[str, View], rig: Rig, tube: Tube, sight: Optics
 ) -> tuple[Array, Array, Array, Indices, Array, Array] | None:
     """Rows of all views: the first fields of `Problem`; None where a number is not finite."""
-    counts = [0]
+    row_sd, lobe_sd = list[float](), list[float]()
     for view in views.values():
-        sides = min(len(view.edges_px), _ROW_MAX)
-        counts += [sides, sides, min(len(view.tip.contour_px), _tip_most(tube))]
-    row_start = np.array(counts).cumsum()
-    n, rows = int(row_start[-1]), len(row_start) - 1
-    direction, place, lobes = np.empty((n, 3)), np.empty(n), np.empty((n, 2))
-    row_sd, lobe_sd = np.empty(rows), np.empty(rows)
-    finite = True
-    for k, (name, view) in enumerate(views.items()):
-        tip = view.tip
-        known = lens(rig.cameras[name]) if COMPILED else None
-        at = slice(row_start[ROWS * k], row_start[ROWS * k + ROWS])
-        row = slice(ROWS * k, ROWS * k + ROWS)
-        row_sd[row], lobe_sd[row] = deviations(view.edge_sd_px, tip.rms_px, view.edge_doubt_px, tip.doubt_px)
-        gathered = known is not None and ray_kernels.gather(
-            view.edge_rays,
-            view.centreline_px,
-            tip.px,
-            tip.contour_px,
-            *known,
-            sight.rotation[k],
-            _ROW_MAX,
-            _tip_most(tube),
-            direction[at],
-            place[at],
-            lobes[at],
+        sd, whole = deviations(view.edge_sd_px, view.tip.rms_px, view.edge_doubt_px, view.tip.doubt_px)
+        row_sd += sd
+        lobe_sd += whole
+    if not math.isfinite(sum(row_sd) + sum(lobe_sd)):
+        return None
+    known = lenses(rig, tuple(views)) if COMPILED else None
+    if known is not None:
+        direction, place, lobes, row_start, finite = ray_kernels.gather(
+            *flat(views), *known, sight.rotation, _ROW_MAX, _tip_most(tube)
         )
-        if not gathered:
-            contour = _used_contour(view, tube)
-            direction[at], place[at], lobes[at] = rows_of_view(
-                view.edge_rays,
-                view.centreline_px,
-                tip.px,
-                contour,
-                rig.cameras[name].unproject(contour),
-                sight.rotation[k],
-                _ROW_MAX,
-            )
-            finite = finite and bool(np.isfinite(direction[at].sum() + place[at].sum() + lobes[at].sum()))
-    finite = finite and math.isfinite(row_sd.sum() + lobe_sd.sum())
-    return (direction, place, lobes, row_start, row_sd, lobe_sd) if finite else None
+        if finite:
+            return direction, place, lobes, row_start, np.array(row_sd), np.array(lobe_sd)
+    counts, parts = [0], []
+    for turn, (name, view) in zip(sight.rotation, views.items(), strict=True):
+        contour = _used_contour(view, tube)
+        rays = rig.cameras[name].unproject(contour)
+        parts.append(rows_of_view(view.edge_rays, view.centreline_px, view.tip.px, contour, rays, turn, _ROW_MAX))
+        sides = min(len(view.edges_px), _ROW_MAX)
+        counts += [sides, sides, len(contour)]
+    direction, place, lobes = (np.concatenate(each) for each in zip(*parts, strict=True))
+    if not math.isfinite(direction.sum() + place.sum() + lobes.sum()):
+        return None
+    return direction, place, lobes, np.array(counts).cumsum(), np.array(row_sd), np.array(lobe_sd)
+
+
+def flat(views: Mapping[str, View]) -> tuple[Array, Array, Array, Indices, Array]:
+    """All views in one piece, as compiled code takes them.
+
+    Edge rays (N, 2, 3), centreline (N, 2) and contours (K, 2); how many of them are each view's (V, 2); pixels of the
+    tips (V, 2).
+    """
+    seen = views.values()
+    return (
+        np.concatenate([view.edge_rays for view in seen]),
+        np.concatenate([view.centreline_px for view in seen]),
+        np.concatenate([view.tip.contour_px for view in seen]),
+        np.array([(len(view.edge_rays), len(view.tip.contour_px)) for view in seen]),
+        np.array([view.tip.px.tolist() for view in seen]),
+    )
 
 
 def deviations(
@@ -184,7 +188,13 @@ def deviations(
     left, right = edge_sd_px.tolist()
     rough, doubt = (left, right, tip_rms_px), (*edge_doubt_px.tolist(), tip_doubt_px)
     row_sd = [math.hypot(_EDGE_PX, r) for r in (left, right, max(tip_rms_px, (left + right) / 2))]
-    return row_sd, [math.hypot(_ROW_PX, d + _ROW_SHARE * r) for d, r in zip(doubt, rough, strict=True)]
+    return row_sd, [_lobe_sd(d, r) for d, r in zip(doubt, rough, strict=True)]
+
+
+def _lobe_sd(doubt_px: float, rough_px: float) -> float:
+    """How far a whole row may be moved: fully charged from where its measurements disagree or it is rough."""
+    share = min(1.0, max(doubt_px, rough_px - _SMOOTH_PX) / _AGREE_PX)
+    return math.hypot(_STILL_PX, share * math.hypot(_ROW_PX, doubt_px + _ROW_SHARE * rough_px))
 
 
 class Optics(NamedTuple):
@@ -236,6 +246,13 @@ def lens(camera: Camera) -> tuple[Array, Array] | None:
     k = np.zeros(8)
     k[: len(camera.distortion)] = camera.distortion
     return camera.matrix, sealed(k)
+
+
+@lru_cache(maxsize=8)
+def lenses(rig: Rig, names: tuple[str, ...]) -> tuple[Array, Array] | None:
+    """Matrices (V, 3, 3) and coefficients (V, 8) of cameras; None where `lens` has none of one."""
+    known = [lens(rig.cameras[name]) for name in names]
+    return None if None in known else (np.stack([k[0] for k in known if k]), np.stack([k[1] for k in known if k]))
 
 
 def _plain(values: Array) -> Array:

@@ -74,11 +74,11 @@ def _track(middles: Array, widths: Array, gaps: Array) -> Track:
     return Track(middles, widths, tuple(gap for gap in gaps.tolist() if gap > GAP_TOLD))
 
 
-def measure(signal: Signal, track: Track) -> tuple[Array, float, Array]:
+def measure(signal: Signal, track: Track) -> tuple[Array, float, Array, float]:
     """See `walker.measure`."""
     middles, widths = np.ascontiguousarray(track.middle_px), np.ascontiguousarray(track.width_px)
-    edges, blur, left, right = entry.measure(*_flat(signal), middles, widths)
-    return edges, blur, np.array([left, right])
+    edges, blur, left, right, outwards = entry.measure(*_flat(signal), middles, widths)
+    return edges, blur, np.array([left, right]), outwards
 
 
 def find_end(signal: Signal, middle_px: Array, width_px: Array, reach_widths: float) -> Ending:
@@ -89,21 +89,32 @@ def find_end(signal: Signal, middle_px: Array, width_px: Array, reach_widths: fl
 
 
 def ball(
-    signal: Signal, centre_px: Array, heading: Array, expected: float, half: float, blur_px: float, careful: bool
+    signal: Signal,
+    centre_px: Array,
+    heading: Array,
+    expected: float,
+    half: float,
+    blur_px: float,
+    outwards_px: float,
+    careful: bool,
 ) -> Contour:
     """See `tip.ball`."""
-    flat = _flat(signal)
-    return _contour(True, entry.ball(*flat, _pair(centre_px), _pair(heading), expected, half, blur_px, careful))
+    places = _pair(centre_px), _pair(heading)
+    return _contour(True, entry.ball(*_flat(signal), *places, expected, half, blur_px, outwards_px, careful))
 
 
-def round_end(signal: Signal, centre_px: Array, heading: Array, radius: float, blur_px: float) -> Contour:
+def round_end(
+    signal: Signal, centre_px: Array, heading: Array, radius: float, blur_px: float, outwards_px: float
+) -> Contour:
     """See `tip.round_end`."""
-    return _contour(False, entry.round_end(*_flat(signal), _pair(centre_px), _pair(heading), radius, blur_px))
+    places = _pair(centre_px), _pair(heading)
+    return _contour(False, entry.round_end(*_flat(signal), *places, radius, blur_px, outwards_px))
 
 
-def face(signal: Signal, end_px: Array, heading: Array, width_px: float, blur_px: float) -> Contour:
+def face(signal: Signal, end_px: Array, heading: Array, width_px: float, blur_px: float, outwards_px: float) -> Contour:
     """See `tip.face`."""
-    return _contour(False, entry.face(*_flat(signal), _pair(end_px), _pair(heading), width_px, blur_px))
+    places = _pair(end_px), _pair(heading)
+    return _contour(False, entry.face(*_flat(signal), *places, width_px, blur_px, outwards_px))
 
 
 def _contour(ball: bool, found: tuple[int, Array, tuple[float, ...]]) -> Contour:

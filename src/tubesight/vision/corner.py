@@ -88,7 +88,7 @@ def leads_on(signal: Signal, tip_px: Array, radius_px: float, track: Track) -> b
     """Whether something as wide as the tube leads away from a tip, beside the tube itself."""
     width = float(np.median(track.width_px[-WIDTHS:]))
     _, way, _ = last_way(track.middle_px)
-    around = _crossed(signal, tip_px, way, max(radius_px, width / 2) + _CLEAR_WIDTHS * width, width)
+    around = _crossed(signal, tip_px, way, float(np.fmax(radius_px, width / 2)) + _CLEAR_WIDTHS * width, width)
     return len(around) > 1
 
 

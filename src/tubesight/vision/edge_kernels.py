@@ -11,9 +11,12 @@ import numpy as np
 from tubesight.core import Array
 from tubesight.core.kernels import part, short_part
 from tubesight.vision import edges
+from tubesight.vision.fetch_kernels import fetch_line
 from tubesight.vision.line_kernels import Picture, sample_line
 from tubesight.vision.math_kernels import Count, median
 
+# Places of a line whose pixels are asked for before: it is a dozen pixels long.
+_FETCHED = 3
 ROOT_2_PI = float(np.sqrt(2 * np.pi))
 LUMA, RED_BLUE = edges.metric(3, 0.0), edges.metric(3, 1.0) - edges.metric(3, 0.0)
 
@@ -47,7 +50,10 @@ def colour_profiles(
     rows = (len(origin) + every - 1) // every
     with_scene = scene.shape[0] > 0
     colour, behind = np.empty((3 * rows, count)), np.empty((3 * rows if with_scene else 0, count))
-    at = np.empty((4, count))
+    at, high = np.empty((4, count)), low + step * (count - 1)
+    for n in range(rows):
+        m = n * every
+        fetch_line(image, (origin[m, 0], origin[m, 1]), (way[m, 0], way[m, 1]), low, high, _FETCHED)
     for n in range(rows):
         m = n * every
         start, direction = (origin[m, 0], origin[m, 1]), (way[m, 0], way[m, 1])
@@ -75,9 +81,16 @@ def interpolate(rows: Array, n: int, low: float, step: float, place: float) -> f
 @part
 def mean_between(rows: Array, n: int, low: float, step: float, first: float, last: float) -> float:
     """Twin of `edges._mean_between` for row n of (N, L)."""
+    position, gap = (first - low) * (1 / step), (last - first) * (1 / ((edges.PLATEAU_SAMPLES - 1) * step))
+    end = rows.shape[1] - 1
+    if not (position >= 0 and position + (edges.PLATEAU_SAMPLES - 1) * gap <= end):
+        return np.nan
     total: float = 0.0
     for k in range(edges.PLATEAU_SAMPLES):
-        total += interpolate(rows, n, low, step, first + k * (last - first) / (edges.PLATEAU_SAMPLES - 1))
+        at = position + k * gap
+        left = np.uint64(min(np.int64(at), end - 1))
+        t = at - left
+        total += rows[n, left] * (1 - t) + rows[n, left + np.uint64(1)] * t
     return total / edges.PLATEAU_SAMPLES
 
 
@@ -166,17 +179,23 @@ def half_level(
     if not drop > 0:
         return np.nan, np.nan
     level = ground + drop / 2 + rise * sigma / ROOT_2_PI
-    reach = max(2.0, 2.5 * sigma)
+    return crossing(share, n, low, step, position, max(2.0, 2.5 * sigma), level), drop
+
+
+@part
+def crossing(share: Array, n: int, low: float, step: float, position: float, reach: float, level: float) -> float:
+    """Twin of `edges._crossing` for row n of (N, L)."""
     best, nearest = np.nan, np.inf
     first = max(int((position - reach - low) / step) - 1, 0)
     last = min(int((position + reach - low) / step) + 2, share.shape[1] - 1)
-    for k in range(first, last):
-        above, below = share[n, k] - level, share[n, k + 1] - level
-        place = low + step * k + step * above / (above - below)
-        off = abs(place - position)
-        nearer = (above >= 0) & (below < 0) & (off <= reach) & (off < nearest)
-        best, nearest = (place, off) if nearer else (best, nearest)
-    return best, drop
+    for k in range(np.uint64(first), np.uint64(last)):
+        above, below = share[n, k] - level, share[n, k + np.uint64(1)] - level
+        if (above >= 0) & (below < 0):
+            place = low + step * k + step * above / (above - below)
+            off = abs(place - position)
+            if off <= reach and off < nearest:
+                best, nearest = place, off
+    return best
 
 
 @part
@@ -260,6 +279,23 @@ def measure_edges(
     if help_needed and scatter(other) < rough:
         return other, other_drop, doubt_of(second, low, step, other, blur) + apart(other, position)
     return position, drop, doubt_of(share, low, step, position, blur) + apart(position, other)
+
+
+@part
+def displacement(colour: Array, behind: Array, low: float, step: float, gray: bool) -> float:
+    """Twin of `edges.displacement`."""
+    rows = len(colour) // 3
+    places, found, share = np.empty(rows), np.int64(0), np.empty((rows, colour.shape[1]))
+    tube, cloth = both_sides(colour, low, step, np.zeros(rows), edges.SIGMA_FIRST_PX, gray)
+    local_share(colour, behind, tube, cloth, 1.0, gray, share)
+    for n in range(rows):
+        high = mean_between(share, n, low, step, -edges.NEAR_PX[1], -edges.NEAR_PX[0])
+        level = (high + mean_between(share, n, low, step, edges.BEYOND_PX[0], edges.BEYOND_PX[1])) / 2
+        place = crossing(share, n, low, step, 0.0, edges.BEYOND_PX[0], level)
+        if np.isfinite(place):
+            places[found] = place
+            found += 1
+    return median(places, found) if 2 * found > rows else 0.0
 
 
 @part

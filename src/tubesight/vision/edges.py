@@ -31,6 +31,9 @@ SLACK_PX = 1.5
 PASSES = 3
 # The width of an edge is measured between plateaus this far from it, but no deeper than a part of the tube.
 FAR_PX, FAR_SHARE = 5.0, 0.5
+# Edges that may be anywhere within so many pixels of a guess are found between plateaus just inside of it and this far
+# outside, where nothing is left of a blurred edge that the guess lies inside of by 2 px.
+NEAR_PX, BEYOND_PX = (1.0, 2.0), (4.5, 6.0)
 # Shading inside may rise by this share of the edge's fall per pixel and is then extrapolated to the edge; more is a
 # highlight.
 RISE_MAX = 0.12
@@ -217,6 +220,20 @@ def blur_of(lines: Profiles, guess_px: Array) -> float:
         sigma = fall / (np.sqrt(2 * np.pi) * (near[:, :-2] - near[:, 2:]).max(1))
     sigma = sigma[np.isfinite(sigma) & (sigma > 0)]
     return float(np.clip(np.median(sigma), *SIGMA_RANGE_PX)) if len(sigma) else SIGMA_FIRST_PX
+
+
+def displacement(lines: Profiles) -> float:
+    """Median distance outwards of a row of edges from where its lines begin; 0 where they are not seen on most lines.
+
+    For guesses by the likeness to tube, which calls the blurred rim of a dark tube a shadow on what is behind it.
+    """
+    start = np.zeros(len(lines.colour))
+    share = local_share(lines, *both_sides(lines, start, SIGMA_FIRST_PX), 1.0)
+    high = _mean_between(share, lines.along, start - NEAR_PX[1], start - NEAR_PX[0])
+    low = _mean_between(share, lines.along, start + BEYOND_PX[0], start + BEYOND_PX[1])
+    found = _crossing(share, lines.along, start, BEYOND_PX[0], (high + low) / 2)
+    found = found[np.isfinite(found)]
+    return float(np.median(found)) if 2 * len(found) > len(start) else 0.0
 
 
 def both_sides(lines: Profiles, edge_px: Array, sigma_px: float) -> tuple[Array, Array]:

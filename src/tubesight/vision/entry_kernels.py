@@ -73,7 +73,7 @@ def walk(  # noqa: D103
 @entry(*PICTURE, ROWS, LIST)
 def measure(  # noqa: D103
     image: Image, behind: Image, colours: Numbers, middles: Array, widths: Array
-) -> tuple[Array, float, float, float]:
+) -> tuple[Array, float, float, float, float]:
     return scan_kernels.measure(Picture(image, behind, colours), middles, widths)
 
 
@@ -84,7 +84,7 @@ def find_end(  # noqa: D103
     return kernels.find_end(Picture(image, behind, colours), middles, widths, reach)
 
 
-@entry(*PICTURE, PLACE, PLACE, NUMBER, NUMBER, NUMBER, FLAG)
+@entry(*PICTURE, PLACE, PLACE, NUMBER, NUMBER, NUMBER, NUMBER, FLAG)
 def ball(  # noqa: D103
     image: Image,
     behind: Image,
@@ -94,23 +94,38 @@ def ball(  # noqa: D103
     radius: float,
     half: float,
     blur: float,
+    outwards: float,
     careful: bool,
 ) -> tip_kernels.Found:
-    return tip_kernels.ball(Picture(image, behind, colours), centre, way, radius, half, blur, careful)
+    return tip_kernels.ball(Picture(image, behind, colours), centre, way, radius, half, blur, outwards, careful)
 
 
-@entry(*PICTURE, PLACE, PLACE, NUMBER, NUMBER)
+@entry(*PICTURE, PLACE, PLACE, NUMBER, NUMBER, NUMBER)
 def round_end(  # noqa: D103
-    image: Image, behind: Image, colours: Numbers, centre: Numbers, way: Numbers, radius: float, blur: float
+    image: Image,
+    behind: Image,
+    colours: Numbers,
+    centre: Numbers,
+    way: Numbers,
+    radius: float,
+    blur: float,
+    outwards: float,
 ) -> tip_kernels.Found:
-    return tip_kernels.round_end(Picture(image, behind, colours), centre, way, radius, blur)
+    return tip_kernels.round_end(Picture(image, behind, colours), centre, way, radius, blur, outwards)
 
 
-@entry(*PICTURE, PLACE, PLACE, NUMBER, NUMBER)
+@entry(*PICTURE, PLACE, PLACE, NUMBER, NUMBER, NUMBER)
 def face(  # noqa: D103
-    image: Image, behind: Image, colours: Numbers, end: Numbers, way: Numbers, width: float, blur: float
+    image: Image,
+    behind: Image,
+    colours: Numbers,
+    end: Numbers,
+    way: Numbers,
+    width: float,
+    blur: float,
+    outwards: float,
 ) -> tip_kernels.Found:
-    return tip_kernels.face(Picture(image, behind, colours), end, way, width, blur)
+    return tip_kernels.face(Picture(image, behind, colours), end, way, width, blur, outwards)
 
 
 @entry(*OPTICS, NUMBER, ROWS)

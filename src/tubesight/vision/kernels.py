@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from tubesight.core import Array
+from tubesight.core import Array, Image
 from tubesight.core.kernels import part, short_part
 from tubesight.vision import ending, falls, pairs, walker
+from tubesight.vision.fetch_kernels import fetch_line
 from tubesight.vision.line_kernels import FALLS, SHARE, SMOOTH, WORK_ROWS, Numbers, Picture, profile
 from tubesight.vision.math_kernels import Count, length, median, parabola
+
+# Places on each side of a scan whose pixels are asked for one scan before: every third pixel.
+_FETCHED = 6
 
 
 @short_part
@@ -155,6 +159,15 @@ def last_width(scans: Array, count: Count) -> float:
 
 
 @part
+def fetch_ahead(image: Image, middle: Numbers, way: Numbers, width: float) -> None:
+    """Ask for the pixels of a scan across the tube, near its edges."""
+    near, half = pairs.NEAR_WIDTHS * width + pairs.NEAR_PX, width / 2
+    for side in range(2):
+        sign = 1.0 - 2 * side
+        fetch_line(image, middle, (sign * way[1], -sign * way[0]), half - near, half + near, _FETCHED)
+
+
+@part
 def walk(
     picture: Picture, start: tuple[float, float], direction: Numbers, width_px: float, from_base: bool
 ) -> tuple[Array, Array, Array]:
@@ -176,6 +189,7 @@ def walk(
     for _ in range(0 if np.isnan(size) else walker.MAX_STEPS):
         middle, way = predict(scans, count, place, start, direction)
         width = last_width(scans, count) if count > 0 else width_px
+        fetch_ahead(picture.image, (middle[0] + step * way[0], middle[1] + step * way[1]), way, width)
         x, y, size = find_pair(picture, middle, way, width, True)
         if not np.isnan(size):
             scans[count, 0], scans[count, 1], scans[count, 2], scans[count, 3] = x, y, size, place

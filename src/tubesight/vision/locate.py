@@ -35,9 +35,9 @@ _WHY_NOT = {
 
 
 def find_tip(
-    stages: Stages, signal: Signal, camera: Camera, tube: Tube, track: Track, blur_px: float
+    stages: Stages, signal: Signal, camera: Camera, tube: Tube, track: Track, blur_px: float, outwards_px: float
 ) -> tuple[TipView, Ending, float]:
-    """Find the tip beyond the last part of a track.
+    """Find the tip beyond the last part of a track, whose edges lie so far outwards of where it has them.
 
     Returns
     -------
@@ -51,10 +51,11 @@ def find_tip(
     """
     found = []
     failure = Unmeasurable(Status.TIP_NOT_FOUND)
+    track = track.widened(outwards_px)
     for ratio in _ball_ratios(tube):
         ending = stages.find_end(signal, track.middle_px, track.width_px, REACH_WIDTHS + REACH_BALLS * ratio)
         try:
-            contour = _contour(stages, signal, tube, ending, ratio, blur_px)
+            contour = _contour(stages, signal, tube, ending, ratio, blur_px, outwards_px)
             found.append((_tip_view(stages, camera, contour), ending, contour.radius_px))
         except Unmeasurable as caught:
             failure = caught
@@ -77,7 +78,9 @@ def _ball_ratios(tube: Tube) -> tuple[float, ...]:
     return (1.0,)
 
 
-def _contour(stages: Stages, signal: Signal, tube: Tube, ending: Ending, ratio: float, blur_px: float) -> Contour:
+def _contour(
+    stages: Stages, signal: Signal, tube: Tube, ending: Ending, ratio: float, blur_px: float, outwards_px: float
+) -> Contour:
     """Contour of the shape that the tip has, or the reason why there is none."""
     if ending.outcome == BORDER:
         raise Unmeasurable(Status.TIP_AT_BORDER)
@@ -85,11 +88,11 @@ def _contour(stages: Stages, signal: Signal, tube: Tube, ending: Ending, ratio: 
         raise Unmeasurable(Status.TIP_NOT_FOUND, detail=_WHY_NOT[ending.outcome])
     radius = ratio * ending.width_px / 2
     if tube.tip.shape == "flat":
-        contour = stages.face(signal, ending.px, ending.heading, ending.width_px, blur_px)
+        contour = stages.face(signal, ending.px, ending.heading, ending.width_px, blur_px, outwards_px)
     elif tube.tip.shape == "round" and ratio == 1.0:
-        contour = _round_end(stages, signal, ending, radius, blur_px)
+        contour = _round_end(stages, signal, ending, radius, blur_px, outwards_px)
     else:
-        contour = _carried_ball(stages, signal, ending, radius, ratio, blur_px)
+        contour = _carried_ball(stages, signal, ending, radius, ratio, blur_px, outwards_px)
     if contour.outcome == RADIUS:
         detail = f"radius {contour.radius_px:.1f} px where {radius:.1f} were expected"
         raise Unmeasurable(Status.TIP_NOT_FOUND, detail=detail)
@@ -98,35 +101,37 @@ def _contour(stages: Stages, signal: Signal, tube: Tube, ending: Ending, ratio: 
     return contour
 
 
-def _round_end(stages: Stages, signal: Signal, ending: Ending, radius: float, blur_px: float) -> Contour:
+def _round_end(
+    stages: Stages, signal: Signal, ending: Ending, radius: float, blur_px: float, outwards_px: float
+) -> Contour:
     """Find a rounded end, or a ball of its size where the way at the end is not known."""
     centre = ending.px - radius * ending.heading
-    contour = stages.round_end(signal, centre, ending.heading, radius, blur_px)
+    contour = stages.round_end(signal, centre, ending.heading, radius, blur_px, outwards_px)
     if contour.outcome == FOUND and contour.rms_px < ROUND_SURE_PX:
         return contour
     # Near the end of a tube that turns towards the camera its way is not known; its round contour still is.
-    ball = stages.ball(signal, centre, ending.heading, radius, ROUND_HALF_RAD, blur_px, False)
+    ball = stages.ball(signal, centre, ending.heading, radius, ROUND_HALF_RAD, blur_px, outwards_px, False)
     better = ball.outcome == FOUND and not ball.rms_px > _ROUND_BETTER * contour.rms_px
     return ball if better or contour.outcome != FOUND else contour
 
 
 def _carried_ball(
-    stages: Stages, signal: Signal, ending: Ending, radius: float, ratio: float, blur_px: float
+    stages: Stages, signal: Signal, ending: Ending, radius: float, ratio: float, blur_px: float, outwards_px: float
 ) -> Contour:
     """Find a ball that the tube carries; where it is not sure straight ahead, also to the sides of the tube's end."""
     heading = ending.heading
     half = float(np.pi - np.arcsin(min(1 / ratio, 1.0)) - NECK_RAD)
     centre = ending.px - radius * heading
-    best = stages.ball(signal, centre, heading, radius, half, blur_px, False)
+    best = stages.ball(signal, centre, heading, radius, half, blur_px, outwards_px, False)
     if _sure(best):
         return best
-    best = _better(best, stages.ball(signal, centre, heading, radius, half, blur_px, True))
+    best = _better(best, stages.ball(signal, centre, heading, radius, half, blur_px, outwards_px, True))
     if _sure(best):
         return best
     neck = centre - radius * heading
     for turn in _TURNS_RAD:
         turned = _turned(heading, turn)
-        ball = stages.ball(signal, neck + radius * turned, turned, radius, half, blur_px, False)
+        ball = stages.ball(signal, neck + radius * turned, turned, radius, half, blur_px, outwards_px, False)
         if _sure(ball):
             return ball
         best = _better(best, ball)

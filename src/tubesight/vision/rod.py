@@ -112,7 +112,7 @@ def see_rod(name: str, image: Image, background: Image | None, camera: Camera, n
     )
     if len(track.middle_px) < 4:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, name, "the edges of what stands out are soon lost")
-    edges, blur, doubt = measure(signal, track)
+    edges, blur, doubt, _ = measure(signal, track)
     if len(edges) < _SCANS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, name, f"{len(edges)} scans")
     rays = camera.unproject(edges)

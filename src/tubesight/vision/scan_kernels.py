@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tubesight.core import Array, Mask
 from tubesight.core.kernels import part
 from tubesight.vision import edges, walker
-from tubesight.vision.edge_kernels import blur_of, colour_profiles, measure_edges, running_median, window
+from tubesight.vision.edge_kernels import blur_of, colour_profiles, displacement, measure_edges, running_median, window
 from tubesight.vision.line_kernels import Picture
 from tubesight.vision.math_kernels import Count, length, median
 from tubesight.vision.pairs import DROP_MIN
@@ -74,32 +74,51 @@ def in_line(offset: Array, side: Count, keep: Mask, rows: Rows) -> None:
 
 
 @part
-def measure(picture: Picture, middles: Array, widths: Array) -> tuple[Array, float, float, float]:
-    """Twin of `walker.measure`: edges (N, 2, 2), blur, and the doubts of both rows."""
+def put(middle: Array, ways: Array, sides: Array, origin: Array) -> None:
+    """Write where the lines of both sides begin: so far (2, N) from the middles on their ways (2, N, 2)."""
+    for side in range(2):
+        for n in range(sides.shape[1]):
+            for i in range(2):
+                origin[side, n, i] = middle[n, i] + ways[side, n, i] * sides[side, n]
+
+
+@part
+def measure(picture: Picture, middles: Array, widths: Array) -> tuple[Array, float, float, float, float]:
+    """Twin of `walker.measure`: edges (N, 2, 2), blur, the doubts of both rows, and how far outwards they were."""
     middle, way, half, rows = scans_along(middles, widths)
     if rows == 0:
-        return np.empty((0, 2, 2)), edges.SIGMA_FIRST_PX, 1.0, 1.0
+        return np.empty((0, 2, 2)), edges.SIGMA_FIRST_PX, 1.0, 1.0, 0.0
     gray, step, every = picture.image.shape[2] < 3, edges.SPACING_PX, walker.BLUR_EVERY
-    origin, ways, depth = np.empty((2, rows, 2)), np.empty((2, rows, 2)), np.inf
+    ways, sides, depth = np.empty((2, rows, 2)), np.empty((2, rows)), np.inf
     for n in range(rows):
         depth = min(depth, half[n])
         for side in range(2):
             sign = 1.0 - 2 * side
             ways[side, n, 0], ways[side, n, 1] = sign * way[n, 1], -sign * way[n, 0]
-            for i in range(2):
-                origin[side, n, i] = middle[n, i] + ways[side, n, i] * half[n]
-    reach, blur = edges.FAR_PX + 1.0, np.inf
-    for side in range(2):
-        count = int(2 * reach / step) + 2
-        lines = colour_profiles(picture, origin[side], ways[side], every, -reach, step, count, edges.LINE_PX)
-        blur = min(blur, blur_of(lines[0], lines[1], -reach, step, depth, gray))
+            sides[side, n] = half[n]
+    origin, off, outwards = np.empty((2, rows, 2)), np.empty(2), 0.0
+    low, blur = -edges.FAR_PX - 1.0, np.inf
+    count = int(-2 * low / step) + 2
+    for again in range(2):
+        put(middle, ways, sides, origin)
+        for side in range(2):
+            lines = colour_profiles(picture, origin[side], ways[side], every, low, step, count, edges.LINE_PX)
+            if again == 0:
+                off[side] = displacement(lines[0], lines[1], low, step, gray)
+            blur = min(blur, blur_of(lines[0], lines[1], low, step, depth, gray))
+        if again > 0 or not (off[0] + off[1]) / 2 > walker.WALK_OFF_PX:
+            break
+        outwards, blur = (off[0] + off[1]) / 2, np.inf
+        for side in range(2):
+            for n in range(rows):
+                sides[side, n] += off[side]
     low, count = window(blur, depth)
     offset, doubt, good = np.empty((2, rows)), np.empty(2), np.ones(rows, dtype=np.bool_)
     for side in range(2):
         lines = colour_profiles(picture, origin[side], ways[side], np.int64(1), low, step, count, edges.LINE_PX)
         position, drop, doubt[side] = measure_edges(lines[0], lines[1], low, step, np.zeros(rows), blur, gray)
         for n in range(rows):
-            offset[side, n] = position[n] + half[n]
+            offset[side, n] = position[n] + sides[side, n]
             good[n] = good[n] and np.isfinite(position[n]) and drop[n] > DROP_MIN
     index, used = np.empty(rows, dtype=np.int64), 0
     for n in range(rows):
@@ -116,6 +135,6 @@ def measure(picture: Picture, middles: Array, widths: Array) -> tuple[Array, flo
             n = index[k]
             for side in range(2):
                 for i in range(2):
-                    found[used, side, i] = origin[side, n, i] + ways[side, n, i] * (offset[side, n] - half[n])
+                    found[used, side, i] = middle[n, i] + ways[side, n, i] * offset[side, n]
             used += 1
-    return found[:used], blur, doubt[0], doubt[1]
+    return found[:used], blur, doubt[0], doubt[1], outwards

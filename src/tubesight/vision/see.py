@@ -143,7 +143,7 @@ def _open_view(name: str, run: Stages, camera: Camera, signal: Signal, track: Tr
 
 def _measured(run: Stages, signal: Signal, track: Track) -> tuple[Array, float, Array]:
     """Edges, blur and doubts of a track; those of the walk where the tube is too thin to be measured."""
-    edges, blur, doubt = run.measure(signal, track)
+    edges, blur, doubt, _ = run.measure(signal, track)
     if len(edges) >= SCANS_MIN or float(np.median(track.width_px)) > _THIN_PX:
         return edges, blur, doubt
     return walked_edges(track), blur, np.full(2, _WALKED_PX)
@@ -186,8 +186,8 @@ def _with_tip(
     failure: Unmeasurable | None = None
     for longer in chain(walks_on(run, signal, track, way), other_ways(run, signal, track, way) if track.gaps else ()):
         try:
-            _, blur, _ = run.measure(signal, longer)
-            found.append((longer, find_tip(run, signal, camera, tube, longer, blur)))
+            _, blur, _, outwards = run.measure(signal, longer)
+            found.append((longer, find_tip(run, signal, camera, tube, longer, blur, outwards)))
         except Unmeasurable as caught:
             failure = failure or caught
         if longer is track and found and not track.gaps and _is_end(signal, track, found[0][1]):
@@ -250,7 +250,7 @@ def _to_tip(
     Where both do, the base is the end nearer to `base_px`, or else the upper one.
     """
     hint = _ABOVE if base_px is None else base_px
-    _, blur, _ = run.measure(signal, forward)
+    _, blur, _, outwards = run.measure(signal, forward)
     tracks = sorted((forward, _reversed(forward)), key=lambda t: _distance(t.middle_px[0], hint))
     near, far = (_distance(t.middle_px[0], hint) for t in tracks)
     if base_px is not None and near < _NEARER * far:
@@ -258,7 +258,7 @@ def _to_tip(
     failure = Unmeasurable(Status.TIP_NOT_FOUND)
     for track in tracks:
         try:
-            return track, find_tip(run, signal, camera, tube, track, blur)
+            return track, find_tip(run, signal, camera, tube, track, blur, outwards)
         except Unmeasurable as caught:
             failure = caught
     raise failure

@@ -40,19 +40,26 @@ def doubtful() -> Seen:
 
 @part
 def contour_of(
-    picture: Picture, place: Numbers, heading: Numbers, width: float, shape: int, ratio: float, blur: float
+    picture: Picture,
+    place: Numbers,
+    heading: Numbers,
+    width: float,
+    shape: int,
+    ratio: float,
+    blur: float,
+    outwards: float,
 ) -> tuple[bool, Found]:
     """Twin of `locate._contour` at its first attempt, and whether that suffices."""
     radius = ratio * width / 2
     centre = place[0] - radius * heading[0], place[1] - radius * heading[1]
     if shape == FLAT:
-        found = face(picture, place, heading, width, blur)
+        found = face(picture, place, heading, width, blur, outwards)
         return found[0] == FOUND, found
     if shape == ROUND:
-        found = round_end(picture, centre, heading, radius, blur)
+        found = round_end(picture, centre, heading, radius, blur, outwards)
         return found[0] == FOUND and found[2][3] < locate.ROUND_SURE_PX, found
     half = np.pi - np.arcsin(min(1 / ratio, 1.0)) - tip.NECK_RAD
-    found = ball(picture, centre, heading, radius, half, blur, False)
+    found = ball(picture, centre, heading, radius, half, blur, outwards, False)
     sure = found[0] == FOUND and found[2][3] < locate.BALL_SURE_PX and found[2][5] > locate.BALL_SURE_SEEN
     return sure, found
 
@@ -96,11 +103,12 @@ def see_from_base(
     middles, widths, gaps = walk(picture, start, way, width, True)
     if len(middles) < see.PLACES_MIN or (len(gaps) > 0 and gaps.max() > walker.GAP_TOLD):
         return doubtful()
-    edges, blur, left, right = measure(picture, middles, widths)
+    edges, blur, left, right, outwards = measure(picture, middles, widths)
+    widths += 2 * outwards
     outcome, place, heading, size = find_end(picture, middles, widths, locate.REACH_WIDTHS + locate.REACH_BALLS * ratio)
     if outcome != FOUND:
         return doubtful()
-    sure, contour = contour_of(picture, place, heading, size, shape, ratio, blur)
+    sure, contour = contour_of(picture, place, heading, size, shape, ratio, blur, outwards)
     if not sure:
         return doubtful()
     fits, points, seen = tip_of(optics, focal, shape, contour)

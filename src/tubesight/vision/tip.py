@@ -96,17 +96,25 @@ def _fan(heading: Array, half: float, count: int) -> tuple[Array, Array]:
 
 
 def _rough(
-    signal: Signal, origins: Array, directions: Array, radius: float, sweep: int, blur_px: float, careful: bool = False
+    signal: Signal,
+    origins: Array,
+    directions: Array,
+    radius: float,
+    sweep: int,
+    blur_px: float,
+    outwards_px: float,
+    careful: bool = False,
 ) -> Array:
     """Edges (N,) of a sweep on lines that start where the contour is expected; NaN where none stands out.
 
-    They are falls of the likeness to tube; carefully, each is then measured with the colours on both sides of it.
+    They are falls of the likeness to tube, moved outwards as the walk's edges were; carefully, each is then measured
+    with the colours on both sides of it.
     """
     reach = SWEEPS[sweep] * radius
     along = grid(-reach - SWEEP_IN_PX, reach + SWEEP_OUT_PX, spacing(2 * radius))
     if not careful:
-        return nearest_fall(profiles(signal, origins, directions, along, (0.0,)), along, DROP_MIN)
-    guess = nearest_fall(profiles(signal, origins, directions, along), along, DROP_MIN)
+        return nearest_fall(profiles(signal, origins, directions, along, (0.0,)), along, DROP_MIN) + outwards_px
+    guess = nearest_fall(profiles(signal, origins, directions, along), along, DROP_MIN) + outwards_px
     return measure_edges(colour_profiles(signal, origins, directions, along, radius), guess, blur_px).position_px
 
 
@@ -131,6 +139,7 @@ def ball(
     expected: float,
     half: float,
     blur_px: float,
+    outwards_px: float,
     careful: bool,
 ) -> Contour:
     """Fit a circle to a ball's contour, starting from a rough centre.
@@ -143,6 +152,8 @@ def ball(
         Radius; the contour's has to be near to it.
     half
         Angle to both sides of the heading within which the contour is looked for.
+    blur_px, outwards_px
+        Width of the picture's edges, and how far they lie outwards of those by likeness (`walker.measure`).
     careful
         Whether the first sweeps measure edges already, where shading hides them from the likeness to tube.
     """
@@ -157,7 +168,9 @@ def ball(
         if rough:
             position = np.full(len(angles), np.nan)
             some = slice(None, None, ROUGH_EVERY)
-            position[some] = _rough(signal, origins[some], directions[some], expected, sweep, blur_px, careful)
+            position[some] = _rough(
+                signal, origins[some], directions[some], expected, sweep, blur_px, outwards_px, careful
+            )
         else:
             position, doubt = _fine(signal, origins, directions, radius, blur_px)
             position = position + shrinkage(blur_px, radius)
@@ -182,7 +195,9 @@ def ball(
     )
 
 
-def round_end(signal: Signal, centre_px: Array, heading: Array, radius: float, blur_px: float) -> Contour:
+def round_end(
+    signal: Signal, centre_px: Array, heading: Array, radius: float, blur_px: float, outwards_px: float
+) -> Contour:
     """Centre of a rounded end: on the way of the tube, one radius behind its contour.
 
     `centre_px` is a rough one. The width and the way are those of the tube's edges; only the place along the way is
@@ -193,7 +208,7 @@ def round_end(signal: Signal, centre_px: Array, heading: Array, radius: float, b
     for sweep in range(len(SWEEPS) + MEASURES):
         origins = centre + radius * directions
         if sweep < len(SWEEPS):
-            off = _rough(signal, origins, directions, radius, sweep, blur_px)
+            off = _rough(signal, origins, directions, radius, sweep, blur_px, outwards_px)
         else:
             off, doubt = _fine(signal, origins, directions, radius, blur_px)
             off = off + shrinkage(blur_px, radius)
@@ -243,7 +258,7 @@ def _on_line(points: Array, weight: Array) -> bool:
     return not determinant > ON_LINE * max(float(np.trace(moments)), 1.0) ** 2
 
 
-def face(signal: Signal, end_px: Array, heading: Array, width_px: float, blur_px: float) -> Contour:
+def face(signal: Signal, end_px: Array, heading: Array, width_px: float, blur_px: float, outwards_px: float) -> Contour:
     """Middle of a flat end face: its contour is half an ellipse, ``a(d) = a0 + bulge sqrt(1 - 4 d^2) + tilt d``.
 
     d is the distance from the middle, in widths.
@@ -252,7 +267,7 @@ def face(signal: Signal, end_px: Array, heading: Array, width_px: float, blur_px
     design = np.stack([np.ones_like(d), np.sqrt(1 - (2 * d) ** 2), d], 1)
     origins = end_px + d[:, None] * width_px * left_of(heading)
     directions = np.broadcast_to(heading, origins.shape)
-    place = _rough(signal, origins, directions, width_px / 2, 0, blur_px)
+    place = _rough(signal, origins, directions, width_px / 2, 0, blur_px, outwards_px)
     model, keep = _fit_face(design, place)
     doubt = 0.0
     for _ in range(MEASURES):

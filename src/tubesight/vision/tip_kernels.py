@@ -53,6 +53,7 @@ def rough(
     radius: float,
     sweep: int,
     blur: float,
+    outwards: float,
     careful: bool,
     found: Array,
 ) -> None:
@@ -67,7 +68,7 @@ def rough(
         if n % every == 0:
             start, direction = (origin[n, 0], origin[n, 1]), (way[n, 0], way[n, 1])
             profile(picture, start, direction, 0.0, low, step, lines, work)
-            found[n] = nearest_fall(work, low, step, tip.DROP_MIN)
+            found[n] = nearest_fall(work, low, step, tip.DROP_MIN) + outwards
             guess[n // every] = found[n]
     if careful:
         colour, behind = colour_profiles(picture, origin, way, every, low, step, count, edges.LINE_PX)
@@ -142,7 +143,14 @@ def circle(points: Array, count: Count, keep: Mask) -> tuple[float, float, float
 
 @part
 def ball(
-    picture: Picture, centre: Numbers, heading: Numbers, expected: float, half: float, blur: float, careful: bool
+    picture: Picture,
+    centre: Numbers,
+    heading: Numbers,
+    expected: float,
+    half: float,
+    blur: float,
+    outwards: float,
+    careful: bool,
 ) -> Found:
     """Twin of `tip.ball`."""
     count = max(int(tip.BALL_LINES * half / np.pi), 12)
@@ -156,7 +164,7 @@ def ball(
         on_circle(cx, cy, radius, way, origin)
         first = sweep < len(tip.SWEEPS)
         if first:
-            rough(picture, origin, way, tip.ROUGH_EVERY, expected, sweep, blur, careful, position)
+            rough(picture, origin, way, tip.ROUGH_EVERY, expected, sweep, blur, outwards, careful, position)
         else:
             doubt = fine(picture, origin, way, radius, blur, edges.LINE_PX, blur * blur / (2 * radius), position)
         found = np.int64(0)
@@ -191,7 +199,9 @@ def ball(
 
 
 @part
-def round_end(picture: Picture, centre: Numbers, heading: Numbers, radius: float, blur: float) -> Found:
+def round_end(
+    picture: Picture, centre: Numbers, heading: Numbers, radius: float, blur: float, outwards: float
+) -> Found:
     """Twin of `tip.round_end`."""
     count = tip.ROUND_LINES
     cosine, way = fan(heading, tip.ROUND_HALF_RAD, count)
@@ -201,7 +211,7 @@ def round_end(picture: Picture, centre: Numbers, heading: Numbers, radius: float
     for sweep in range(len(tip.SWEEPS) + tip.MEASURES):
         on_circle(cx, cy, radius, way, origin)
         if sweep < len(tip.SWEEPS):
-            rough(picture, origin, way, 1, radius, sweep, blur, False, off)
+            rough(picture, origin, way, 1, radius, sweep, blur, outwards, False, off)
         else:
             doubt = fine(picture, origin, way, radius, blur, edges.LINE_PX, blur * blur / (2 * radius), off)
         across, square, used = 0.0, 0.0, 0
@@ -271,7 +281,7 @@ def fit_face(d: Array, place: Array, keep: Mask) -> tuple[Array, Count]:
 
 
 @part
-def face(picture: Picture, end: Numbers, heading: Numbers, width: float, blur: float) -> Found:
+def face(picture: Picture, end: Numbers, heading: Numbers, width: float, blur: float, outwards: float) -> Found:
     """Twin of `tip.face`."""
     count = tip.FACE_LINES
     d, origin, way, start = np.empty(count), np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
@@ -280,7 +290,7 @@ def face(picture: Picture, end: Numbers, heading: Numbers, width: float, blur: f
         d[n] = -tip.FACE_WIDTHS + 2 * tip.FACE_WIDTHS / (count - 1) * n
         origin[n, 0], origin[n, 1] = end[0] + d[n] * width * heading[1], end[1] - d[n] * width * heading[0]
         way[n, 0], way[n, 1] = heading[0], heading[1]
-    rough(picture, origin, way, 1, width / 2, 0, blur, False, place)
+    rough(picture, origin, way, 1, width / 2, 0, blur, outwards, False, place)
     model, used = fit_face(d, place, keep)
     doubt = 0.0
     for _ in range(tip.MEASURES):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from tubesight.vision.edges import (
     Profiles,
     blur_of,
     colour_profiles,
+    displacement,
     left_of,
     measure_edges,
     wide_window,
@@ -38,6 +39,9 @@ WIDTHS = 7
 SCANS, FINE_STEP_PX = 32, 6.0
 # The blur is measured on every so many-th of them.
 BLUR_EVERY = 4
+# Edges that lie farther outwards of those of the walk than this, most of the room that their measurement has, are
+# looked for first: on sharp pictures of black tubes they lie 0.8 px outwards, on blurred ones 1.3 to 2.8.
+WALK_OFF_PX = 1.1
 # A step this many times the usual one bridges a gap: nothing is measured there.
 GAP_STEPS = 2.5
 # An edge stands out of line when it is farther than this from the median of its neighbours, or than so many robust
@@ -52,6 +56,10 @@ class Track:
     middle_px: Array
     width_px: Array
     gaps: tuple[float, ...]
+
+    def widened(self, outwards_px: float) -> Track:
+        """Move its edges outwards, as `measure` told."""
+        return replace(self, width_px=self.width_px + 2 * outwards_px)
 
 
 def walk_from_base(signal: Signal, start_px: Array, way: Array, width_px: float) -> Track | None:
@@ -126,33 +134,41 @@ def _predict(
     return np.asarray(coefficients[0]), np.asarray(way)
 
 
-def measure(signal: Signal, track: Track) -> tuple[Array, float, Array]:
+def measure(signal: Signal, track: Track) -> tuple[Array, float, Array, float]:
     """Measure both edges on scans normal to a followed tube.
 
     Returns
     -------
-    edges_px, blur_px, doubt_px
+    edges_px, blur_px, doubt_px, outwards_px
         (N, 2, 2) left and right edges in order, without scans on which an edge stands out of line, the width of the
-        picture's edges, and (2,) how far each whole row may be off.
+        picture's edges, (2,) how far each whole row may be off, and how far outwards of those of the walk the edges
+        lie, where that is so far that they had to be looked for.
     """
     middle, way, half = _scans(track)
     if not len(half):
-        return np.empty((0, 2, 2)), SIGMA_FIRST_PX, np.ones(2)
-    left = left_of(way)
-    depth = float(half.min())
-    sides = ((middle + left * half[:, None], left), (middle - left * half[:, None], -left))
+        return np.empty((0, 2, 2)), SIGMA_FIRST_PX, np.ones(2), 0.0
+    normal = np.stack([left_of(way), -left_of(way)], 1)
+    depth, sides = float(half.min()), np.stack([half, half], 1)
 
     def lines(along: Array, every: int = 1) -> list[Profiles]:
-        return [colour_profiles(signal, o[::every], d[::every], along, depth) for o, d in sides]
+        origin = middle[::every, None] + normal[::every] * sides[::every, :, None]
+        return [colour_profiles(signal, origin[:, k], normal[::every, k], along, depth) for k in range(2)]
 
-    blur = min(blur_of(side, np.zeros(len(side.colour))) for side in lines(wide_window(), BLUR_EVERY))
+    wide = lines(wide_window(), BLUR_EVERY)
+    off = np.array([displacement(side) for side in wide])
+    if off.mean() > WALK_OFF_PX:
+        sides = sides + off
+        wide = lines(wide_window(), BLUR_EVERY)
+    else:
+        off[:] = 0.0
+    blur = min(blur_of(side, np.zeros(len(side.colour))) for side in wide)
     found = [measure_edges(side, np.zeros(len(half)), blur) for side in lines(window(blur, depth))]
-    offset = np.stack([e.position_px for e in found], 1)
-    edges = np.stack([o + d * e.position_px[:, None] for (o, d), e in zip(sides, found, strict=True)], 1)
+    offset = sides + np.stack([e.position_px for e in found], 1)
+    edges = middle[:, None] + normal * offset[..., None]
     drop = np.stack([e.drop for e in found], 1)
     good: Mask = np.asarray(np.isfinite(offset).all(1) & (np.nan_to_num(drop) > DROP_MIN).all(1))
-    good[good] = _in_line((offset + half[:, None])[good])
-    return edges[good], blur, np.array([e.doubt_px for e in found])
+    good[good] = _in_line(offset[good])
+    return edges[good], blur, np.array([e.doubt_px for e in found]), float(off.mean())
 
 
 def walked_edges(track: Track) -> Array:
