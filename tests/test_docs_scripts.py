@@ -62,3 +62,19 @@ def test_the_page_has_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
         assert page.count(f"| {name} |") == 2, name
     for name in errors.CAMERA:
         assert page.count(f"| {name} |") == 1, name
+
+
+def test_table_of_families(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Times are only printed. The choice is at most 1.2 times as far off as the best family, or 0.01 mm more: noise."""
+    families = script("families", monkeypatch)
+    monkeypatch.setattr(families, "RUNS", 1)
+    rig = rig_around(90.0, size_px=(960, 540))
+    classes = {name: families.CLASSES[name][:1] for name in ("arc", "two segments in space")}
+    head, rule, *lines = families.table(classes, rig)
+    page = (DOCS / "theory.md").read_text(encoding="utf-8")
+    assert f"{head}\n{rule}\n" in page
+    for (name, _), line, family in zip(classes.items(), lines, ("circle", "arcs2"), strict=True):
+        cells = [cell.strip() for cell in line.split("|")[1:-1]]
+        assert cells[:2] == [name, family]
+        assert float(cells[2]) <= 1.2 * float(cells[3]) + 0.01
+        assert f"| {name} | {family} |" in page

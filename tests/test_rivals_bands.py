@@ -178,3 +178,16 @@ def test_arcs_join_without_a_kink() -> None:
 
 def test_rig_is_the_one_the_variants_start_from() -> None:
     assert photograph(ARC, BALL, "bands")[0] is RIG
+
+
+@pytest.mark.parametrize("phi", [150, 330])
+def test_a_band_beside_a_ball_of_its_colour_is_where_it_was_painted(phi: int) -> None:
+    """Bent towards a camera and away from it: the last band lies beyond the last scans, near the ball or against it."""
+    bent = Arc(np.radians(40), np.radians(phi), 160.0)
+    rig, pair = photograph(bent, BALL, "bands")
+    for name, view in ShapeSensor(rig, BALL, "markers")(pair).views.items():
+        assert isinstance(view, BandView)
+        expected = rig.project(name, bent.at(bent.length_mm * np.arange(1, 11) / 10))
+        assert len(view.bands_px) == len(expected)
+        # As above; a band seen at its most slanting has a pixel of its own front between its edges.
+        assert np.linalg.norm(view.bands_px - expected, axis=1).max() < 1.0, name

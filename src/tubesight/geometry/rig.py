@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tubesight.core import Array, readonly
+from tubesight.core import Array, readonly, sealed
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.lens import LENSES
 from tubesight.geometry.pose import Pose
@@ -82,7 +82,8 @@ class Rig:
 
     def centre_mm(self, name: str) -> Array:
         """Centre of projection of a camera in the base frame, (3,)."""
-        return self.camera_from_base[name].inverse().translation_mm
+        pose = self.camera_from_base[name]
+        return sealed(-pose.translation_mm @ pose.rotation)
 
     def project(self, name: str, points_mm: ArrayLike) -> Array:
         """Project points (..., 3) of the base frame to pixels (..., 2) of one camera."""
@@ -90,7 +91,7 @@ class Rig:
 
     def directions(self, name: str, rays: ArrayLike) -> Array:
         """Turn camera rays (..., 3) into unit directions of the base frame."""
-        d = self.camera_from_base[name].inverse().rotate(rays)
+        d = np.asarray(rays, float) @ self.camera_from_base[name].rotation
         return np.asarray(d / np.linalg.norm(d, axis=-1, keepdims=True))
 
     def relative_pose(self, a: str, b: str) -> Pose:

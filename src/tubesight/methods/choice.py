@@ -1,8 +1,9 @@
 """Which family of curves explains the edges: the simplest one, found with as few fits as tell.
 
-A circle and an ellipse are enough for most tubes. Shapes of several bends are looked for level by level: a few steps of
-a polynomial of curvature, which hardly depends on where it starts, tell where circular pieces begin. Splines come last,
-from a polynomial that is near or from a curve that another method finds.
+A circle and an ellipse are enough for most tubes. A few steps of a polynomial of curvature, which hardly depends on
+where it starts, tell whether a tube bends once or several times, and where circular pieces begin. Of a family that does
+not come near in a few steps no more are taken. Splines come last, from a polynomial that is near or from a curve that
+another method finds.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ import numpy as np
 
 from tubesight.core import Array, Status, Unmeasurable
 from tubesight.geometry.curve import Curve3D
-from tubesight.geometry.families import FAMILIES, INTERVALS, Family, bends_of_pieces, ellipse_like, turns_of
+from tubesight.geometry.families import FAMILIES, INTERVALS, Family, turns_of
 from tubesight.methods.fit import Fit, fit_family
 from tubesight.methods.general import SIMPLEST_WITHIN, frame_along, general_fits, placed, turns_by
+from tubesight.methods.guesses import bends_once, like_ellipse, merged_pieces, pieces_like, plane_like, smooth_like
 from tubesight.methods.rays import ROWS, Problem
-from tubesight.methods.solve import ITERATIONS
 
 # No family with a larger rms is an answer.
 RMS_MAX_PX = 0.6
@@ -36,32 +37,39 @@ _GOOD_PX = 0.25
 # kept unless they leave less than its rms divided by `_PLANE_WITHIN`. On 73 of 76 photographs the right family leaves
 # 0.4 to 1.9 of them; two bends the same way that an ellipse fits to 0.2 px leave 2.7.
 _NOISE_SD, _PLANE, _PLANE_WITHIN = 2.0, ("circle", "ellipse"), 2.0
-# Up to this rms of a few steps of a plane polynomial an ellipse is fitted to its end: true ellipses left 1.2 to 2.1 px,
-# S-shapes and robots of several segments mostly 2.3 px and more.
-_PLANE_PX = 2.3
 # A tube whose centreline bends more sharply than this share of its radius' inverse kinks.
 _SHARPEST = 0.7
-# A good circle is challenged only where a few steps of a polynomial lower its rms by this factor: `SIMPLEST_WITHIN` is
+# A circle is challenged only where a few steps of a polynomial lower its rms by this factor: `SIMPLEST_WITHIN` is
 # farther away.
 _WORTH, _FEW_STEPS = 1.15, 2
-# Steps of a smooth curve that pieces start from: on 180 S-shapes and robots of two and three segments as many pieces
-# were found after 3 steps as after 30.
-_ROUGH_STEPS = 8
-# A smooth curve that is farther off after those is not the answer, nor near it.
+# Steps of a smooth curve in space that other families start from: the two right pieces came near from it on all of 79
+# S-shapes and robots of two segments, as after twice as many steps; `bends_once` told most ellipses.
+_ROUGH_STEPS = 4
+# A family is fitted to its end where so many steps leave no more than this rms: right ones left 0 to 0.9 px on 156
+# shapes of one to three bends (ellipses: 1.3 px), wrong ones 1.6 px and more on nine in ten.
+_TRIED_STEPS, _TRIED_PX = 6, 1.5
+# Pieces that leave up to this many deviations of the edges are not compared with smooth curves: on photographs right
+# ones leave 0.4 to 1.3.
+_ROUGH_AS_EDGES = 1.25
+# A smooth curve that is farther off after its few steps is not the answer.
 _PROMISING_PX = 1.0
 # Median distance of the edges of a tip from its model, above which the curve ends elsewhere. On photographs: 0.5 px.
 TIP_OFF_PX = 2.0
 
 
 class _Level(NamedTuple):
-    """Families of one degree: a smooth curve in space, as many arcs as it can tell, a curve in a plane."""
+    """Families of one degree: smooth in space, as many arcs as that can tell, one arc less, smooth in a plane."""
 
     smooth: str
     pieces: str
+    fewer: str
     plane: str
 
 
-_BENDS = (_Level("spatial2", "arcs2", "polynomial2"), _Level("spatial4", "arcs3", "polynomial3"))
+_BENDS = (
+    _Level("spatial2", "arcs2", "circle", "polynomial2"),
+    _Level("spatial4", "arcs3", "arcs2", "polynomial3"),
+)
 
 # Finds a curve whatever its shape, where there is one.
 AnyShape = Callable[[], Curve3D | None]
@@ -92,31 +100,56 @@ def choose_family(problem: Problem, tip: Array, any_shape: AnyShape, family: str
     if not math.isfinite(circle.rms_px):
         raise Unmeasurable(Status.NEAR_DEGENERATE, detail="no curve can be fitted to the edges")
     eased = _eased("circle", family)
-    good, noise = circle.rms_px <= _GOOD_PX, min(_GOOD_PX, _NOISE_SD * roughness_px(problem))
+    noise = min(_GOOD_PX, _NOISE_SD * roughness_px(problem))
     if circle.rms_px <= eased * _RMS_FLOOR_PX:
         return problem, circle, ""
-    # Shapes are nearly linear in the coefficients of a polynomial: a few steps tell what a better family could gain.
-    bx, by = circle.parameters[:2]
-    plane = np.concatenate([[np.arctan2(by, bx), np.hypot(bx, by), 0.0, 0.0], circle.parameters[2:]])
     challenged_px = circle.rms_px / (eased * _WORTH)
-    better = fit_family(problem, FAMILIES["polynomial2"], plane, challenged_px if good else np.inf, _FEW_STEPS)
-    if circle.rms_px <= noise and better.rms_px > challenged_px:
+    rough = _challenger(problem, circle, challenged_px)
+    if rough.rms_px > challenged_px and circle.rms_px <= (noise if circle.rms_px <= _GOOD_PX else RMS_MAX_PX):
         return problem, circle, ""
-    guess = np.append(ellipse_like(better.parameters[:5]), better.parameters[5:])
-    worth = np.inf if better.rms_px <= _PLANE_PX else RMS_MAX_PX
-    fits = {"circle": circle, "ellipse": fit_family(problem, FAMILIES["ellipse"], guess, worth)}
+    fits = {"circle": circle}
+    _add_ellipse(problem, fits, rough)
     best, plausible = _best_of(fits, problem)
     for level, enough in zip(_BENDS, (noise, _GOOD_PX), strict=True):
         if best <= enough:
             break
-        better = _fit_level(problem, level, fits, better)
+        rough = _fit_level(problem, level, fits, rough)
         best, plausible = _best_of(fits, problem)
     general, found = problem, dict[str, Fit]()
     if best > _GOOD_PX:
-        general, found = _fit_splines(problem, better, any_shape)
+        general, found = _fit_splines(problem, rough, any_shape)
+        found = {name: fit for name, fit in found.items() if name not in fits or fit.rms_px < fits[name].rms_px}
         best, plausible = _best_of(fits | found, problem)
     chosen = next(fit for fit in sorted(plausible, key=lambda f: f.family.count) if _explains(fit, best, family))
     return general if chosen.family.name in found else problem, chosen, _why(chosen, fits)
+
+
+def _challenger(problem: Problem, circle: Fit, challenged_px: float) -> Fit:
+    """Take a few steps of a polynomial from a circle: in its plane where that is good, else in space.
+
+    Shapes are nearly linear in the coefficients of a polynomial: a few steps tell what a better family could gain.
+    """
+    (bx, by), rest = circle.parameters[:2], circle.parameters[2:]
+    if circle.rms_px <= _GOOD_PX:
+        plane = np.concatenate([[np.arctan2(by, bx), np.hypot(bx, by), 0.0, 0.0], rest])
+        return fit_family(problem, FAMILIES["polynomial2"], plane, challenged_px, _FEW_STEPS)
+    space = np.concatenate([[bx, by, 0.0, 0.0, 0.0, 0.0], rest])
+    return fit_family(problem, FAMILIES["spatial2"], space, steps=_ROUGH_STEPS)
+
+
+def _tried(problem: Problem, family: Family, guess: Array, steps: int = _TRIED_STEPS) -> Fit:
+    """Take a few steps of a family, and the others where it comes near."""
+    fit = fit_family(problem, family, guess, steps=steps)
+    return fit_family(problem, family, fit.parameters) if fit.rms_px <= _TRIED_PX else fit
+
+
+def _add_ellipse(problem: Problem, fits: dict[str, Fit], rough: Fit) -> None:
+    """Add the fit of an ellipse like another curve that bends once, where none is as good yet."""
+    known_px = fits["ellipse"].rms_px if "ellipse" in fits else np.inf
+    if known_px > SIMPLEST_WITHIN * rough.rms_px and bends_once(rough):
+        fit = _tried(problem, FAMILIES["ellipse"], like_ellipse(rough))
+        if fit.rms_px < known_px:
+            fits["ellipse"] = fit
 
 
 def _eased(name: str, family: str) -> float:
@@ -132,31 +165,43 @@ def _explains(fit: Fit, best_px: float, family: str) -> bool:
 
 
 def _fit_level(problem: Problem, level: _Level, fits: dict[str, Fit], rough: Fit) -> Fit:
-    """Add the fits of one level: a smooth space curve, pieces read off it, and a plane curve where one may do.
-
-    A few steps of the smooth curve are enough for the pieces to start from, where its start is known. It is fitted to
-    its end where they do not explain the edges to the noise.
+    """Add the fits of one level: pieces read off a smooth curve, and smooth curves where pieces leave more than noise.
 
     Parameters
     ----------
     rough
-        Polynomial, in a plane or in space, that the smooth curve starts from.
+        Polynomial, in a plane or in space, after a few steps.
 
     Returns
     -------
     Fit
-        The smooth curve.
+        The smooth curve of this level, or `rough` where pieces made it needless.
     """
     smooth, pieces = FAMILIES[level.smooth], FAMILIES[level.pieces]
-    some = (_GOOD_PX, _ROUGH_STEPS) if problem.clamped else (np.inf, ITERATIONS)
-    fits[level.smooth] = fit_family(problem, smooth, _smooth_like(rough, smooth), *some)
-    fits[level.pieces] = fit_family(problem, pieces, _pieces_like(fits[level.smooth], pieces))
-    if problem.clamped and fits[level.pieces].rms_px > _RMS_FLOOR_PX and fits[level.smooth].rms_px <= _PROMISING_PX:
-        fits[level.smooth] = fit_family(problem, smooth, fits[level.smooth].parameters)
-    # The plane curve is a space curve of the same degree: it explains no more than that.
-    if fits[level.smooth].rms_px <= _GOOD_PX:
-        fits[level.plane] = fit_family(problem, FAMILIES[level.plane], _plane_like(fits[level.smooth]))
-    return fits[level.smooth]
+    fits[level.pieces] = _tried(problem, pieces, pieces_like(rough, pieces))
+    near = fits[level.pieces].rms_px <= _TRIED_PX
+    if near:
+        _add_ellipse(problem, fits, fits[level.pieces])
+    merged = merged_pieces(fits[level.pieces]) if near and fits[level.fewer].rms_px > _TRIED_PX else None
+    if merged is not None:
+        fits[level.fewer] = fit_family(problem, FAMILIES[level.fewer], merged, _TRIED_PX)
+    if fits[level.pieces].rms_px <= min(_ROUGH_AS_EDGES * roughness_px(problem), SIMPLEST_WITHIN * rough.rms_px):
+        return rough
+    worth_px = fits[level.pieces].rms_px / SIMPLEST_WITHIN if near else np.inf
+    if rough.family is not smooth:
+        rough = fit_family(problem, smooth, smooth_like(rough, smooth), worth_px, 2 * _ROUGH_STEPS)
+        if not near:
+            fits[level.pieces] = _tried(problem, pieces, pieces_like(rough, pieces), 2 * _TRIED_STEPS)
+    elif not near:
+        rough = fit_family(problem, smooth, rough.parameters, _GOOD_PX, 2 * _ROUGH_STEPS)
+        _add_ellipse(problem, fits, rough)
+    if rough.rms_px <= _PROMISING_PX:
+        rough = fits[level.smooth] = fit_family(problem, smooth, rough.parameters, worth_px)
+    # The plane curves are space curves of the same degree: they explain no more than that.
+    if rough.rms_px <= _GOOD_PX:
+        fits[level.plane] = fit_family(problem, FAMILIES[level.plane], plane_like(rough))
+        _add_ellipse(problem, fits, rough)
+    return rough
 
 
 def _fit_splines(problem: Problem, smooth: Fit, any_shape: AnyShape) -> tuple[Problem, dict[str, Fit]]:
@@ -180,7 +225,7 @@ def _fit_splines(problem: Problem, smooth: Fit, any_shape: AnyShape) -> tuple[Pr
 
 def _why(chosen: Fit, fits: Mapping[str, Fit]) -> str:
     """Say why a shape is none of those with one bend."""
-    simple = [fits[name].rms_px for name in _PLANE]
+    simple = [fits[name].rms_px for name in _PLANE if name in fits]
     if chosen.family.name in _PLANE:
         return ""
     return (
@@ -214,33 +259,3 @@ def roughness_px(problem: Problem) -> float:
     """Median deviation of the rows of the tube's edges, pixels."""
     deviations: list[float] = problem.row_sd_px.tolist()
     return median(sd for row, sd in enumerate(deviations) if row % ROWS < ROWS - 1)
-
-
-def _coefficients(fit: Fit) -> tuple[Array, float]:
-    """Coefficients (K, 2) of the curvatures of a polynomial, in a plane or in space, and the length of its curve."""
-    p = fit.parameters[: fit.family.count]
-    if fit.family.name.startswith("spatial"):
-        return p[:-1].reshape(-1, 2), float(p[-1])
-    return np.outer(p[1:-1], [np.cos(p[0]), np.sin(p[0])]), float(p[-1])
-
-
-def _smooth_like(rough: Fit, family: Family) -> Array:
-    """First guess of a polynomial in space: another one with fewer coefficients."""
-    coefficients, length = _coefficients(rough)
-    guess = np.zeros(family.count)
-    guess[: coefficients.size], guess[-1] = coefficients.ravel(), length
-    return guess
-
-
-def _pieces_like(smooth: Fit, family: Family) -> Array:
-    """First guess of a chain of arcs: equal pieces that turn as much as those of a polynomial in space."""
-    coefficients, length = _coefficients(smooth)
-    count = family.count // 3
-    return np.concatenate([bends_of_pieces(coefficients, count).ravel(), np.zeros(count - 1), [length]])
-
-
-def _plane_like(smooth: Fit) -> Array:
-    """First guess of a polynomial of a degree less or the same, in the plane that holds most of a curve's bending."""
-    coefficients, length = _coefficients(smooth)
-    way = np.linalg.svd(coefficients, full_matrices=False)[2][0]
-    return np.concatenate([[np.arctan2(way[1], way[0])], (coefficients @ way)[:4], [length]])

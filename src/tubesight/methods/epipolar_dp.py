@@ -66,9 +66,10 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
     """
     one, other = best_pair(views, rig)
     share = np.linspace(0.0, 1.0, _PLACES)
-    ways = {name: resampled(way_of(views[name]), share) for name in (one, other)}
+    seen = {name: way_of(views[name]) for name in (one, other)}
+    ways = {name: resampled(way, share) for name, way in seen.items()}
     off = epipolar_distance_px(ways[one], ways[other], rig, one, other)
-    unseen = [in_gap(way_of(views[name]), share) for name in (one, other)]
+    unseen = [in_gap(way, share) for way in seen.values()]
     cost = np.minimum(np.abs(off), _LARGEST_PX) ** 2
     cost[unseen[0][:, None] | unseen[1]] /= _GAP_SD**2
     way = monotone_way(cost, _SKIP)

@@ -12,7 +12,6 @@ from tubesight.geometry.families import (
     FINE_SPLINE,
     INTERVALS,
     SPLINE,
-    bends_of_pieces,
     spatial_like,
 )
 from tubesight.geometry.matching import monotone_way
@@ -26,10 +25,13 @@ _SAMPLES = 4 * INTERVALS + 1
 # systematic, so that a criterion for independent noise would take too rich a family. A finer spline is given up where
 # it cannot lower the rms by as much.
 SIMPLEST_WITHIN = 1.35
+# Polynomials that a spline has led to are held to less: noise alone makes their rms a twentieth larger than that of a
+# spline, and no shape is a polynomial for certain.
+_SMOOTHER_WITHIN = 1.15
 
 
 def general_fits(problem: Problem, turns: Array, length_mm: float, good_px: float) -> dict[str, Fit]:
-    """Fit splines of curvature, the finer one where the coarse one is not good, and pieces like them.
+    """Fit splines of curvature, the finer one where the coarse one is not good, and simpler families like them.
 
     Parameters
     ----------
@@ -39,18 +41,38 @@ def general_fits(problem: Problem, turns: Array, length_mm: float, good_px: floa
     good_px
         Rms from which a spline is fine enough.
     """
-    fits = {"spline": fit_family(problem, FAMILIES["spline"], spatial_like(turns, length_mm, SPLINE))}
-    name = "spline"
-    if fits[name].rms_px > good_px:
-        name = "fine_spline"
-        guess = spatial_like(turns_by(fits["spline"]), fits["spline"].nodes.s_mm[-1], FINE_SPLINE)
-        fits[name] = fit_family(problem, FAMILIES[name], guess, fits["spline"].rms_px / SIMPLEST_WITHIN)
-    smooth = fits[name].parameters[: FAMILIES[name].count]
-    for pieces in (4, 6):
-        bends = bends_of_pieces(smooth[:-1].reshape(-1, 2), pieces)
-        guess = np.concatenate([bends.ravel(), np.zeros(pieces - 1), smooth[-1:]])
-        fits[f"arcs{pieces}"] = fit_family(problem, FAMILIES[f"arcs{pieces}"], guess, fits[name].rms_px)
-        if fits[f"arcs{pieces}"].rms_px <= good_px:
+    best = fit_family(problem, FAMILIES["spline"], spatial_like(turns, length_mm, SPLINE))
+    fits = {"spline": best}
+    if best.rms_px > good_px:
+        guess = spatial_like(turns_by(best), best.nodes.s_mm[-1], FINE_SPLINE)
+        finer = fit_family(problem, FAMILIES["fine_spline"], guess, best.rms_px / SIMPLEST_WITHIN)
+        if finer.rms_px < best.rms_px:
+            best = fits["fine_spline"] = finer
+    return fits | _simpler_fits(problem, best, good_px)
+
+
+def _simpler_fits(problem: Problem, spline: Fit, good_px: float) -> dict[str, Fit]:
+    """Fit families of fewer parameters from a spline: polynomials that are as good, pieces until they are.
+
+    Pieces of more parameters than a good polynomial are not tried.
+    """
+    fits: dict[str, Fit] = {}
+    fewest = spline.family.count
+    turns, length_mm = turns_by(spline), spline.nodes.s_mm[-1]
+    for name in ("spatial4", "spatial2"):
+        guess = spatial_like(turns, length_mm, FAMILIES[name].count // 2)
+        smooth = fit_family(problem, FAMILIES[name], guess, spline.rms_px)
+        if smooth.rms_px > _SMOOTHER_WITHIN * spline.rms_px:
+            break
+        fits[name], fewest = smooth, smooth.family.count
+    for pieces in (3, 4, 6):
+        family = FAMILIES[f"arcs{pieces}"]
+        if family.count > fewest:
+            break
+        bends = turns.reshape(pieces, -1, 2).sum(1)
+        guess = np.concatenate([bends.ravel(), np.zeros(pieces - 1), [length_mm]])
+        fits[family.name] = fit_family(problem, family, guess, spline.rms_px)
+        if fits[family.name].rms_px <= good_px:
             break
     return fits
 

@@ -40,7 +40,7 @@ _FIRST, _LAST = slice(None, 5), slice(-5, None)
 _RMS_MAX_SD, _RMS_MOST_PX = 6.0, 1.5
 # Families of more parameters than these bend to whatever edges there are: on photographs of 24 helices those that were
 # right to 0.15 mm left 0.04 to 0.25 px, one that was off by 0.4 mm left 0.41 px, one that was off by 1.2 mm 0.50 px.
-_SIMPLE, _BENT_MAX_PX = 7, 0.45
+_SIMPLE, _BENT_MAX_PX = 6, 0.45
 
 # Frame in which a clamped tube starts.
 _CLAMP = Pose.identity()

@@ -9,6 +9,7 @@ that this leaves goes the way of every other.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -33,9 +34,9 @@ _PIXELS_MIN, _HALO_PX = 6, 3
 _BESIDE_HALOS = 4
 # Colours this alike (cosine in linear light) are one in different light; every so many pixels tell the background's.
 _ALIKE, _COARSE = 0.97, 8
-# A band lies within this many widths of the centreline; one that is so near (px) to this share of the tip's contour
-# covers the tip.
-_BESIDE_WIDTHS, _TIP_PX, _TIP_SHARE = 0.75, 2.0, 0.5
+# A band is looked for on this share of the tube's width, and crosses this share of it at least. What is so near (px) to
+# this share of the tip's contour covers the tip, and what reaches as near to its middle belongs to it.
+_ON_TUBE, _ACROSS, _TIP_PX, _TIP_SHARE = 0.9, 0.5, 2, 0.5
 # Fewest pixels from which the bow of a band is measured, and the least bow that they have to span for it.
 _BOW_PIXELS, _BOW_SPAN = 16, 0.2
 # Pixels nearer to the tube's edge than this share of its radius tell nothing of the bow but the edge.
@@ -180,20 +181,59 @@ def _painted_over(image: Image, light: Array, parts: Array, share: Array, colour
     return painted
 
 
+class _Way(NamedTuple):
+    """Centreline of a view, continued by a width before its start and to the tip: points, arc lengths and widths."""
+
+    px: Array
+    chord: Array
+    widths: Array
+
+
+def _way(view: View) -> _Way:
+    line, widths = view.centreline_px, view.widths_px
+    first, last = line[0] - line[1], view.tip.px - line[-1]
+    px = [line[:1] + first / np.linalg.norm(first) * widths[0], line]
+    if last @ (line[-1] - line[-2]) > 0:
+        px.append(view.tip.px[None])
+    points = np.concatenate(px)
+    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    return _Way(points, chord, np.append(widths[:1], np.append(widths, widths[-1:]))[: len(points)])
+
+
+def _tube_mask(way: _Way, shape: tuple[int, ...]) -> Mask:
+    """Pixels (H, W) of the tube along its middle."""
+    mask = np.zeros(shape, np.uint8)
+    ends = np.rint(way.px).astype(int).tolist()
+    for start, end, width in zip(ends[:-1], ends[1:], way.widths.tolist(), strict=False):
+        cv2.line(mask, start, end, 1, max(round(_ON_TUBE * width), 1))
+    return mask > 0
+
+
+def _tip_marked(view: View, band: Mask) -> bool:
+    """Whether the tip has the bands' colour: most of its contour runs along pixels of it."""
+    rim = np.rint(view.tip.contour_px).astype(np.intp)
+    rim = rim[((rim >= 0) & (rim < band.shape[::-1])).all(1)]
+    return bool(len(rim)) and float(np.mean(_grown(band, _TIP_PX)[rim[:, 1], rim[:, 0]])) > _TIP_SHARE
+
+
 def _with_bands(view: View, share: Array) -> BandView:
-    """Add to a view the bands that lie on its tube."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((share > _BAND).astype(np.uint8), connectivity=4)
+    """Add to a view the bands that lie on its tube.
+
+    A ball has the bands' colour too, and may touch the last of them in the picture: what is beside the tube does not
+    count, nor what reaches the tip.
+    """
+    band, way = share > _BAND, _way(view)
+    tube, tip_marked = _tube_mask(way, band.shape), _tip_marked(view, band)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((band & tube).astype(np.uint8), connectivity=4)
     found: list[tuple[float, Array]] = []
-    tip_marked = False
     for k in range(1, count):
         if stats[k, cv2.CC_STAT_AREA] < _PIXELS_MIN:
             continue
-        own, weight = _pixels(labels == k, stats[k], share)
-        off_tip = np.linalg.norm(view.tip.contour_px[:, None] - own[weight > _BAND], axis=-1).min(1)
-        if np.mean(off_tip < _TIP_PX) > _TIP_SHARE:
-            tip_marked = True
+        px, weight = _pixels(labels == k, stats[k], share)
+        if tip_marked and place_along(way.px, px[weight > _BAND])[0].max() >= way.chord[-1] - _TIP_PX:
             continue
-        place = _place(view, own, weight)
+        own = tube[px[:, 1].astype(int), px[:, 0].astype(int)]
+        place = _place(way, px[own], weight[own])
         if place is not None:
             found.append(place)
     bands = [px for _, px in sorted(found, key=lambda each: each[0])]
@@ -215,26 +255,26 @@ def _pixels(mask: Mask, box: Array, share: Array) -> tuple[Array, Array]:
     return px.astype(float), share[px[:, 1], px[:, 0]]
 
 
-def _place(view: View, px: Array, weight: Array) -> tuple[float, Array] | None:
+def _place(way: _Way, px: Array, weight: Array) -> tuple[float, Array] | None:
     """Where the centreline passes the middle of a band: its place along it, and the pixel; None where it does not.
 
     A band lies in a plane across the tube. Where the tube leans towards the camera, the band's front is bowed along the
     tube by ``depth sqrt(1 - u^2)``, u across it from -1 to 1; at the edges of the tube it is where the centreline is.
     """
-    line = view.centreline_px
-    place, off = place_along(line, px)
-    width = float(np.median(view.widths_px))
-    if not np.average(off, weights=weight) < _BESIDE_WIDTHS * width:
-        return None
-    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    widths = np.interp(place, chord, view.widths_px)
-    bow = np.sqrt(np.maximum(1 - (2 * off / widths) ** 2, 1 - _INSIDE**2))
+    place, off = place_along(way.px, px)
     middle = float(np.average(place, weights=weight))
+    k = min(max(int(np.searchsorted(way.chord, middle)), 1), len(way.chord) - 1)
+    step = way.px[k] - way.px[k - 1]
+    across = (px @ [-step[1], step[0]])[weight > _BAND] / np.linalg.norm(step)
+    if np.ptp(across) < _ACROSS * way.widths[k]:
+        return None
+    widths = np.interp(place, way.chord, way.widths)
+    bow = np.sqrt(np.maximum(1 - (2 * off / widths) ** 2, 1 - _INSIDE**2))
     if len(px) >= _BOW_PIXELS and np.ptp(bow) > _BOW_SPAN:
         root = np.sqrt(weight)
         solution = np.linalg.lstsq(np.stack([root, root * bow], 1), root * place, rcond=None)[0]
         middle = float(solution[0])
-    return middle, _at(line, chord, middle)
+    return middle, _at(way.px, way.chord, middle)
 
 
 def _at(line: Array, chord: Array, place: float) -> Array:
