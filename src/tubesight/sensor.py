@@ -19,6 +19,7 @@ from tubesight.methods.agreement import reprojection_rms_px
 from tubesight.methods.common_end import to_common_end
 from tubesight.methods.mark import from_mark, marked_width_px
 from tubesight.methods.rays import optics
+from tubesight.methods.whole import solve_any
 from tubesight.vision.mark import starts_at
 from tubesight.vision.see import Start, clamp_start
 from tubesight.vision.view import View
@@ -123,10 +124,14 @@ class ShapeSensor:
                 if self.tube.tip.shape == "open":
                     views = to_common_end(views, self.rig)
                 curve = self._solve(views, family)
-                rms = reprojection_rms_px(curve, views, self.rig)
-                shape = shape_of(curve, 3 * self._tip_sd_mm(curve))
+                rms, shape = self._shape(views, curve)
         except Unmeasurable as failure:
-            return Reconstruction(pair.name, failure.status, (str(failure),), None, None, views, self.method, ms=ms)
+            try:
+                with _stage(ms, "look again"):
+                    views, curve = self._look_again(pair, family)
+                    rms, shape = self._shape(views, curve)
+            except Unmeasurable:
+                return Reconstruction(pair.name, failure.status, (str(failure),), None, None, views, self.method, ms=ms)
         notes = [f"{v.camera}: {note}" for v in views.values() for note in v.notes]
         if isinstance(curve, NodeCurve) and curve.note:
             notes.append(curve.note)
@@ -139,6 +144,31 @@ class ShapeSensor:
         if family and method.solve_again is not None:
             return method.solve_again(views, self.rig, self.tube, family)
         return method.solve(views, self.rig, self.tube)
+
+    def _shape(self, views: Mapping[str, View], curve: Curve3D) -> tuple[float, Shape]:
+        """Distance of a curve from the views' centrelines, and its numbers."""
+        rms = reprojection_rms_px(curve, views, self.rig)
+        return rms, shape_of(curve, 3 * self._tip_sd_mm(curve))
+
+    def _look_again(self, pair: FramePair, family: str) -> tuple[Mapping[str, View], Curve3D]:
+        """See the whole silhouette of a clamped tube, of which the walk along it leads to no curve.
+
+        Raises
+        ------
+        Unmeasurable
+            If that does not lead to one either, or the method does without it.
+        """
+        see_whole = METHODS[self.method].see_whole
+        if see_whole is None or self.tube.tip.shape == "open":
+            raise Unmeasurable(Status.TUBE_NOT_FOUND)
+        options = {}
+        for name, image in pair.images.items():
+            start, _ = self.start_of(name)
+            if start is None:
+                raise Unmeasurable(Status.TUBE_NOT_FOUND)
+            camera = self.rig.cameras[name]
+            options[name] = see_whole(name, image, self.backgrounds.get(name), camera, self.tube, start)
+        return solve_any(options, self.rig, lambda views: self._solve(views, family))
 
     def _see(self, name: str, image: Image) -> View:
         camera = self.rig.cameras[name]

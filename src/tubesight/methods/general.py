@@ -26,6 +26,8 @@ _SAMPLES = 4 * INTERVALS + 1
 # systematic, so that a criterion for independent noise would take too rich a family. A finer spline is given up where
 # it cannot lower the rms by as much.
 SIMPLEST_WITHIN = 1.35
+# Fewest arcs of a piece.
+_SHORTEST = 3
 
 
 def general_fits(problem: Problem, turns: Array, length_mm: float, good_px: float) -> dict[str, Fit]:
@@ -52,7 +54,44 @@ def general_fits(problem: Problem, turns: Array, length_mm: float, good_px: floa
         fits[f"arcs{pieces}"] = fit_family(problem, FAMILIES[f"arcs{pieces}"], guess, fits[name].rms_px)
         if fits[f"arcs{pieces}"].rms_px <= good_px:
             break
+    if min(fit.rms_px for fit in fits.values()) > good_px:
+        _from_curve(problem, turns, length_mm, fits)
     return fits
+
+
+def _from_curve(problem: Problem, turns: Array, length_mm: float, fits: dict[str, Fit]) -> None:
+    """Take the place of fits that ended in a valley of their own by better ones that begin with the curve itself."""
+    starts = {f"arcs{count}": _pieces_of(turns, length_mm, count) for count in (4, 6)}
+    starts["fine_spline"] = spatial_like(turns, length_mm, FINE_SPLINE)
+    for name, guess in starts.items():
+        fit = fit_family(problem, FAMILIES[name], guess)
+        if name not in fits or fit.rms_px < fits[name].rms_px:
+            fits[name] = fit
+
+
+def _pieces_of(turns: Array, length_mm: float, count: int) -> Array:
+    """Parameters of `count` pieces that turn as a curve does, cut where that leaves the least within them.
+
+    Dynamic programming over the arcs (M, 2) of the curve: of all ways to cut it the one with the least sum of squared
+    deviations of each arc's turn from the mean of its piece.
+    """
+    size = len(turns)
+    sums = np.concatenate([np.zeros((1, 2)), np.cumsum(turns, axis=0)])
+    squares = np.concatenate([[0.0], np.cumsum((turns**2).sum(1))])
+    first, last = np.meshgrid(np.arange(size + 1), np.arange(size + 1), indexing="ij")
+    cost = squares[last] - squares[first] - ((sums[last] - sums[first]) ** 2).sum(-1) / np.maximum(last - first, 1)
+    cost = np.where(last - first >= _SHORTEST, cost, np.inf)
+    best, cut = cost[0], list[Array]()
+    for _ in range(count - 1):
+        through = best[:, None] + cost
+        cut.append(through.argmin(0))
+        best = through.min(0)
+    ends = [size]
+    for back in reversed(cut):
+        ends.append(int(back[ends[-1]]))
+    edges = np.array([0, *reversed(ends)])
+    share = np.diff(edges)
+    return np.concatenate([np.diff(sums[edges], axis=0).ravel(), np.log(share[:-1] / share[-1]), [length_mm]])
 
 
 def turns_by(fit: Fit) -> Array:

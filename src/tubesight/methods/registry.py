@@ -10,6 +10,7 @@ from tubesight.methods.method import Method
 from tubesight.methods.plugins import Registry
 from tubesight.methods.rivals import RIVALS
 from tubesight.vision.reference import Reference
+from tubesight.vision.whole import see_whole
 
 _PAPER = (
     "Dalvand, Nahavandi, Howe 2016, Fast vision-based catheter 3D reconstruction, "
@@ -40,7 +41,7 @@ _MATCHING_TRAITS: Mapping[str, str] = MappingProxyType(
     }
 )
 
-_SILHOUETTE = silhouette.Silhouette(starter=cone_ray.solve, general=epipolar_dp.solve)
+_SILHOUETTE = silhouette.Silhouette(starter=cone_ray.solve, general=epipolar_dp.start)
 
 METHODS: Mapping[str, Method] = Registry(
     {
@@ -67,6 +68,7 @@ METHODS: Mapping[str, Method] = Registry(
                 }
             ),
             solve=_SILHOUETTE,
+            see_whole=see_whole,
             solve_again=_SILHOUETTE,
         ),
         "reference": Method(

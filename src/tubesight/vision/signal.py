@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+import cv2
 import numpy as np
 
 from tubesight.core import Array, Image, readonly
@@ -113,11 +114,23 @@ class Signal:
 
     def __call__(self, points_px: Array) -> Array:
         """Likeness to tube (...) at points (..., 2); NaN outside the picture."""
-        colour, behind = self.colours(points_px)
+        return self._share(*self.colours(points_px))
+
+    def picture(self, size_px: tuple[int, int]) -> Array:
+        """Likeness to tube (H, W) of the whole picture shrunk to a size (W, H)."""
+        behind = None if self.background is None else _shrunk(self.background, size_px) * self.gain
+        return self._share(_shrunk(self.image, size_px), behind)
+
+    def _share(self, colour: Array, behind: Array | None) -> Array:
         behind = self.cloth if behind is None else behind
         from_tube = _distance(colour - self.tube, self.tube, SHADING_TUBE)
         from_cloth = _distance(colour - behind, behind, SHADING_CLOTH)
         return from_cloth / (from_tube + from_cloth + 1.0)
+
+
+def _shrunk(image: Image, size_px: tuple[int, int]) -> Array:
+    """Linear light (H, W, C) of a picture shrunk to a size (W, H)."""
+    return LINEAR_LIGHT[planes(cv2.resize(image, size_px, interpolation=cv2.INTER_AREA))]
 
 
 def _distance(off: Array, colour: Array, shading: float) -> Array:

@@ -1,0 +1,121 @@
+"""Pieces of tube in a picture: where its silhouette is as wide as one tube, whatever lies between.
+
+Where a tube passes itself, turns sharply towards the camera or is covered, its silhouette is no band as wide as the
+tube. The rest is: the middle lines of the silhouette (Zhang & Suen 1984), cut where they branch and where the
+silhouette is wider or narrower, are the pieces that `chains` puts in order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from tubesight.core import Array, Mask
+from tubesight.vision.signal import Signal
+
+# The tube is this wide in the shrunk picture: the middle line is then half a pixel of it, a sixteenth of the width, off.
+_SHRUNK_PX = 10.0
+# Share of a pixel above which it counts as tube, and of the tube's brightness ... (see `Signal`).
+_TUBE = 0.5
+# A silhouette is one tube where it is so many widths at the base wide: nearer to the camera or farther by a quarter
+# (0.8 to 1.25), and the width of the middle line is known to a pixel of eight.
+_ONE_TUBE = (0.5, 1.4)
+# Highlights of up to two fifths of the tube's width are closed.
+_CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+# Shorter pieces (widths) are spurs of the middle line.
+_SHORTEST = 0.8
+# Ends of pieces are cut by this much (widths): there the middle line bends towards what it meets.
+_CUT = 0.3
+# Neighbours of a pixel, round it (rows, columns).
+_ROUND = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
+
+
+class Piece(NamedTuple):
+    """Middles (N, 2), about a pixel of the shrunk picture apart, and half widths (N,) of one piece of tube, pixels."""
+
+    middle_px: Array
+    half_px: Array
+
+
+class Silhouette(NamedTuple):
+    """What looks like tube (h, w), its pixels' size in those of the picture, and the pieces of one tube in it."""
+
+    mask: Mask
+    pixel_px: float
+    pieces: tuple[Piece, ...]
+
+    def covers(self, points_px: Array) -> Mask:
+        """Which points (..., 2) of the picture lie on the silhouette."""
+        column, row = (np.clip((points_px[..., k] + 0.5) / self.pixel_px, 0, n - 1).astype(int) for k, n in enumerate(self.mask.shape[::-1]))
+        return self.mask[row, column]
+
+
+def silhouette_of(signal: Signal, width_px: float) -> Silhouette:
+    """Find the pieces of a tube of a given width."""
+    height, width = signal.image.shape[:2]
+    pixel = max(width_px / _SHRUNK_PX, 1.0)
+    size = max(round(width / pixel), 1), max(round(height / pixel), 1)
+    mask = (np.nan_to_num(signal.picture(size)) > _TUBE).astype(np.uint8)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _CLOSING)
+    line = cv2.ximgproc.thinning(255 * mask) > 0
+    across = 2 * cv2.distanceTransform(mask, cv2.DIST_L2, 5) * pixel / width_px
+    clean = line & (across > _ONE_TUBE[0]) & (across < _ONE_TUBE[1])
+    clean &= cv2.dilate(_forks(line).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
+    pieces = []
+    cut, fewest = int(_CUT * width_px / pixel), max(int(_SHORTEST * width_px / pixel), 3)
+    for way in _lines(clean):
+        inner = way[cut : len(way) - cut]
+        if len(inner) >= fewest:
+            half = across[inner[:, 1], inner[:, 0]] * width_px / 2
+            pieces.append(Piece(_smooth((inner + 0.5) * pixel - 0.5), half))
+    return Silhouette(mask > 0, pixel, tuple(pieces))
+
+
+def _forks(line: Mask) -> Mask:
+    """Where a line of pixels branches: going round such a pixel, one comes to it three times or more."""
+    padded = np.pad(line, 1)
+    height, width = line.shape
+    around = [padded[1 + row : 1 + row + height, 1 + column : 1 + column + width] for row, column in _ROUND]
+    entries = sum((~one & other).astype(np.uint8) for one, other in zip(around, (*around[1:], around[0]), strict=True))
+    return line & (entries > 2)
+
+
+def _lines(pixels: Mask) -> Iterator[Array]:
+    """Pixels (N, 2) of each line, in order."""
+    _, labels = cv2.connectedComponents(pixels.astype(np.uint8), connectivity=8)
+    rows, columns = np.nonzero(pixels)
+    own = labels[rows, columns]
+    order = np.argsort(own, kind="stable")
+    places = np.stack([columns, rows], 1)[order]
+    for group in np.split(places, np.flatnonzero(np.diff(own[order])) + 1):
+        left = {(x, y) for x, y in group.tolist()}
+        while left:
+            yield _line_in(left)
+
+
+def _line_in(left: set[tuple[int, int]]) -> Array:
+    """Take a line out of a set of pixels, from one of its ends to where it stops: (N, 2)."""
+
+    def beside(x: int, y: int) -> list[tuple[int, int]]:
+        # Straight neighbours first: the line does not cut its own corners.
+        around = sorted(_ROUND, key=lambda off: abs(off[0]) + abs(off[1]))
+        return [(x + column, y + row) for row, column in around if (x + column, y + row) in left]
+
+    here = min(left, key=lambda place: len(beside(*place)))
+    way = [here]
+    left.discard(here)
+    while ahead := beside(*here):
+        here = ahead[0]
+        left.discard(here)
+        way.append(here)
+    return np.array(way)
+
+
+def _smooth(points: Array) -> Array:
+    """Average points (N, 2) over seven neighbours; ends stay."""
+    n = min(3, (len(points) - 1) // 2)
+    padded = np.concatenate([2 * points[0] - points[n:0:-1], points, 2 * points[-1] - points[-2 : -n - 2 : -1]])
+    return np.stack([np.convolve(padded[:, k], np.full(2 * n + 1, 1 / (2 * n + 1)), "valid") for k in (0, 1)], 1)
