@@ -21,6 +21,7 @@ from tubesight.methods.mark import from_mark, marked_width_px
 from tubesight.methods.rays import optics
 from tubesight.methods.whole import solve_any
 from tubesight.vision.mark import starts_at
+from tubesight.vision.rest import leaves_out
 from tubesight.vision.see import Start, clamp_start
 from tubesight.vision.view import View
 
@@ -28,6 +29,13 @@ DEFAULT_METHOD = "silhouette"
 # Standard deviation of a triangulated tip across the tube's axis on a photograph, px: with three of it the azimuth of a
 # straight tube is noise.
 _TIP_SD_PX = 0.15
+# Curves of these families have no loop to be left out.
+_SIMPLE = ("circle", "ellipse")
+# A curve of many bends that is farther off the centrelines is wrong if it leaves anything out: right ones of rendered
+# loops and helices leave 0.05 to 0.35 px.
+_NEAR_PX = 0.5
+# Places of a curve by which its image is told.
+_POINTS = 201
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +132,7 @@ class ShapeSensor:
                 if self.tube.tip.shape == "open":
                     views = to_common_end(views, self.rig)
                 curve = self._solve(views, family)
+                self._believe(pair, views, curve)
                 rms, shape = self._shape(views, curve)
         except Unmeasurable as failure:
             try:
@@ -168,7 +177,34 @@ class ShapeSensor:
                 raise Unmeasurable(Status.TUBE_NOT_FOUND)
             camera = self.rig.cameras[name]
             options[name] = see_whole(name, image, self.backgrounds.get(name), camera, self.tube, start)
-        return solve_any(options, self.rig, lambda views: self._solve(views, family))
+
+        def solve(views: Mapping[str, View]) -> Curve3D:
+            curve = self._solve(views, family)
+            self._believe(pair, views, curve)
+            return curve
+
+        return solve_any(options, self.rig, solve)
+
+    def _believe(self, pair: FramePair, views: Mapping[str, View], curve: Curve3D) -> None:
+        """Refuse a curve of many bends that leaves out a part of the tube in all pictures, or in one that it is off.
+
+        Raises
+        ------
+        Unmeasurable
+            If something as wide as the tube leaves it there.
+        """
+        if METHODS[self.method].see_whole is None or curve.model in _SIMPLE or self.tube.tip.shape == "open":
+            return
+        points = curve.at(np.linspace(0.0, curve.length_mm, _POINTS))
+        near = reprojection_rms_px(curve, views, self.rig) <= _NEAR_PX
+        left_out = (self._leaves_out(pair, view, self.rig.project(name, points)) for name, view in views.items())
+        if all(left_out) if near else any(left_out):
+            raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="a strand as wide as the tube is left out")
+
+    def _leaves_out(self, pair: FramePair, view: View, way_px: Array) -> bool:
+        start, _ = self.start_of(view.camera)
+        image, background = pair.images[view.camera], self.backgrounds.get(view.camera)
+        return start is not None and leaves_out(view, way_px, image, background, start)
 
     def _see(self, name: str, image: Image) -> View:
         camera = self.rig.cameras[name]
