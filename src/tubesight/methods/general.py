@@ -7,12 +7,14 @@ import numpy as np
 from tubesight.core import Array
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.families import (
+    BASE,
     CHAINS,
     FAMILIES,
     FINE_SPLINE,
     INTERVALS,
-    SPLINE,
+    Family,
     bends_of_pieces,
+    nodes_of,
     spatial_like,
 )
 from tubesight.geometry.matching import monotone_way
@@ -28,9 +30,13 @@ _SAMPLES = 4 * INTERVALS + 1
 SIMPLEST_WITHIN = 1.35
 # Fewest arcs of a piece.
 _SHORTEST = 3
+# Steps by which a curve of a family is laid on another one, and what holds its parameters, mm for a radian.
+_LAYING_STEPS, _HELD_MM = 12, 0.3
 
 
-def general_fits(problem: Problem, turns: Array, length_mm: float, good_px: float) -> dict[str, Fit]:
+def general_fits(
+    problem: Problem, turns: Array, length_mm: float, good_px: float, curve: Curve3D | None = None
+) -> dict[str, Fit]:
     """Fit splines of curvature, the finer one where the coarse one is not good, and pieces like them.
 
     Parameters
@@ -40,8 +46,10 @@ def general_fits(problem: Problem, turns: Array, length_mm: float, good_px: floa
         length.
     good_px
         Rms from which a spline is fine enough.
+    curve
+        That curve, where its points say more than its bends do: fits begin with the nearest curves of their families.
     """
-    fits = {"spline": fit_family(problem, FAMILIES["spline"], spatial_like(turns, length_mm, SPLINE))}
+    fits = {"spline": fit_family(problem, FAMILIES["spline"], _start("spline", turns, length_mm, problem, curve))}
     name = "spline"
     if fits[name].rms_px > good_px:
         name = "fine_spline"
@@ -54,19 +62,38 @@ def general_fits(problem: Problem, turns: Array, length_mm: float, good_px: floa
         fits[f"arcs{pieces}"] = fit_family(problem, FAMILIES[f"arcs{pieces}"], guess, fits[name].rms_px)
         if fits[f"arcs{pieces}"].rms_px <= good_px:
             break
-    if min(fit.rms_px for fit in fits.values()) > good_px:
-        _from_curve(problem, turns, length_mm, fits)
+    if curve is not None and min(fit.rms_px for fit in fits.values()) > good_px:
+        # What ended in a valley of its own may be nearer when it begins with the curve itself.
+        for name in ("arcs4", "arcs6", "fine_spline"):
+            fit = fit_family(problem, FAMILIES[name], _start(name, turns, length_mm, problem, curve))
+            if name not in fits or fit.rms_px < fits[name].rms_px:
+                fits[name] = fit
     return fits
 
 
-def _from_curve(problem: Problem, turns: Array, length_mm: float, fits: dict[str, Fit]) -> None:
-    """Take the place of fits that ended in a valley of their own by better ones that begin with the curve itself."""
-    starts = {f"arcs{count}": _pieces_of(turns, length_mm, count) for count in (4, 6)}
-    starts["fine_spline"] = spatial_like(turns, length_mm, FINE_SPLINE)
-    for name, guess in starts.items():
-        fit = fit_family(problem, FAMILIES[name], guess)
-        if name not in fits or fit.rms_px < fits[name].rms_px:
-            fits[name] = fit
+def _start(name: str, turns: Array, length_mm: float, problem: Problem, curve: Curve3D | None) -> Array:
+    """Parameters of a family near a curve: as its arcs turn, then laid on its points."""
+    family = FAMILIES[name]
+    if name.startswith("arcs"):
+        guess = _pieces_of(turns, length_mm, family.count // 3)
+    else:
+        guess = spatial_like(turns, length_mm, family.count // 2)
+    return guess if curve is None else _laid_on(family, guess, curve, problem.start)
+
+
+def _laid_on(family: Family, guess: Array, curve: Curve3D, start: Pose) -> Array:
+    """Parameters (count,) of the curve of a family whose nodes are nearest to a curve (Gauss-Newton)."""
+    p, best, least = np.append(guess, np.zeros(BASE)), guess, np.inf
+    for _ in range(_LAYING_STEPS):
+        nodes = nodes_of(family, p, start)
+        miss = curve.at(nodes.s_mm / nodes.s_mm[-1] * curve.length_mm) - nodes.points
+        if not (miss**2).sum() < least:
+            break
+        best, least = p[: family.count].copy(), float((miss**2).sum())
+        slope = nodes.d_points[:, :, : family.count].reshape(-1, family.count)
+        held = np.vstack([slope, _HELD_MM * np.eye(family.count)])
+        p[: family.count] += np.linalg.lstsq(held, np.append(miss.ravel(), np.zeros(family.count)), rcond=None)[0]
+    return best
 
 
 def _pieces_of(turns: Array, length_mm: float, count: int) -> Array:

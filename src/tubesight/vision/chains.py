@@ -20,6 +20,8 @@ from tubesight.vision.pieces import Piece, Silhouette
 _END_WIDTHS = 2.5
 # Deviation of the angle by which a join turns from that of an even bend (radians), and of its ends (widths).
 _TURN_SD, _PLACE_SD = 0.35, 0.2
+# The logarithm of the width changes by so much, and as much again over so many widths.
+_WIDER_SD, _WIDER_WITHIN = 0.15, 3.0
 # A bend is not continued further than to this angle (radians).
 _TURN_MOST = 1.0
 # Costs a width: of a join, of a join beside the silhouette, and of a piece that a chain leaves out.
@@ -33,11 +35,12 @@ _FOLLOWED, _RETURNED = 40, 8
 
 
 class _End(NamedTuple):
-    """An end of a piece as one leaves it: place (2,), unit way (2,) and bend (1 / px, positive to the left)."""
+    """An end of a piece as one leaves it: place (2,), unit way (2,), bend (1 / px, positive to the left) and width."""
 
     px: Array
     way: Array
     bend: float
+    width_px: float
 
 
 class Chain(NamedTuple):
@@ -77,7 +80,7 @@ def chains(silhouette: Silhouette, start_px: Array, way: Array, width_px: float)
     while followed:
         longer = []
         for cost, used in followed:
-            end = ends[used[-1][0]][used[-1][1]] if used else _End(start_px, way, 0.0)
+            end = ends[used[-1][0]][used[-1][1]] if used else _End(start_px, way, 0.0, width_px)
             longer += [(cost + more - _LEFT_OUT * size[k], (*used, (k, side))) for more, k, side in joins(end, used)]
         followed = sorted(longer)[:_FOLLOWED]
         found += followed
@@ -92,7 +95,7 @@ def _end_of(piece: Piece, width_px: float) -> _End:
     from_end = np.linalg.norm(piece.middle_px - piece.middle_px[-1], axis=1)
     first = int(np.flatnonzero(from_end > _END_WIDTHS * width_px).max(initial=0))
     used = np.unique(np.linspace(first, len(from_end) - 1, LAST).astype(int))
-    return _End(*last_way(piece.middle_px[used]))
+    return _End(*last_way(piece.middle_px[used]), 2 * float(np.median(piece.half_px[first:])))
 
 
 def _join(one: _End, other: _End, silhouette: Silhouette, width_px: float) -> float:
@@ -103,8 +106,9 @@ def _join(one: _End, other: _End, silhouette: Silhouette, width_px: float) -> fl
     a, b = one.bend * size / 6, -other.bend * size / 6
     first = _angle(one.way, chord) - np.clip(2 * a + b, -_TURN_MOST, _TURN_MOST)
     last = _angle(chord, -other.way) - np.clip(a + 2 * b, -_TURN_MOST, _TURN_MOST)
+    wider = np.log(other.width_px / one.width_px) / (_WIDER_SD * (1 + size / width_px / _WIDER_WITHIN))
     square = (_TURN_SD**2 + (_PLACE_SD * width_px / size) ** 2) * 2
-    off = (_wrapped(first) ** 2 + _wrapped(last) ** 2) / square
+    off = wider**2 / 2 + (_wrapped(first) ** 2 + _wrapped(last) ** 2) / square
     cost = off / (1 + off / _CORNER) + _LONG * size / width_px
     t = np.linspace(0, 1, _SAMPLES)[:, None]
     way = one.px + t * size * one.way * (1 - t) ** 2 + t**2 * (3 - 2 * t) * chord + t**2 * (1 - t) * size * other.way

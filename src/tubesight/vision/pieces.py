@@ -20,9 +20,9 @@ from tubesight.vision.signal import Signal
 _SHRUNK_PX = 10.0
 # Share of a pixel above which it counts as tube, and of the tube's brightness ... (see `Signal`).
 _TUBE = 0.5
-# A silhouette is one tube where it is so many widths at the base wide: nearer to the camera or farther by a quarter
-# (0.8 to 1.25), and the width of the middle line is known to a pixel of eight.
-_ONE_TUBE = (0.5, 1.4)
+# A silhouette may be one tube where it is so many widths at the base wide (nearer to the camera or farther from it), and
+# where it does not widen or narrow faster than this (widths by width): strands that part do.
+_ONE_TUBE, _STEADY = (0.45, 2.0), 0.3
 # Highlights of up to two fifths of the tube's width are closed.
 _CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 # Shorter pieces (widths) are spurs of the middle line.
@@ -67,11 +67,21 @@ def silhouette_of(signal: Signal, width_px: float) -> Silhouette:
     pieces = []
     cut, fewest = int(_CUT * width_px / pixel), max(int(_SHORTEST * width_px / pixel), 3)
     for way in _lines(clean):
-        inner = way[cut : len(way) - cut]
-        if len(inner) >= fewest:
-            half = across[inner[:, 1], inner[:, 0]] * width_px / 2
-            pieces.append(Piece(_smooth((inner + 0.5) * pixel - 0.5), half))
+        for steady in _steady(across[way[:, 1], way[:, 0]], pixel / width_px):
+            inner = way[steady][cut : steady.stop - steady.start - cut]
+            if len(inner) >= fewest:
+                half = across[inner[:, 1], inner[:, 0]] * width_px / 2
+                pieces.append(Piece(_smooth((inner + 0.5) * pixel - 0.5), half))
     return Silhouette(mask > 0, pixel, tuple(pieces))
+
+
+def _steady(across: Array, step: float) -> list[slice]:
+    """Stretches of a line on which its width (N,), sampled every `step` widths, changes slowly."""
+    reach = max(round(0.5 / step), 1)
+    padded = np.pad(across, reach, mode="edge")
+    slow = np.abs(padded[2 * reach :] - padded[: -2 * reach]) < _STEADY * 2 * reach * step
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(int)))
+    return [slice(first, last) for first, last in edges.reshape(-1, 2)]
 
 
 def _forks(line: Mask) -> Mask:
