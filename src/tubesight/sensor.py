@@ -19,9 +19,8 @@ from tubesight.methods.agreement import reprojection_rms_px
 from tubesight.methods.common_end import to_common_end
 from tubesight.methods.mark import from_mark, marked_width_px
 from tubesight.methods.rays import optics
-from tubesight.methods.whole import solve_any
+from tubesight.methods.whole import believe, see_any, signals_of, solve_any
 from tubesight.vision.mark import starts_at
-from tubesight.vision.rest import leaves_out
 from tubesight.vision.see import Start, clamp_start
 from tubesight.vision.view import View
 
@@ -31,11 +30,6 @@ DEFAULT_METHOD = "silhouette"
 _TIP_SD_PX = 0.15
 # Curves of these families have no loop to be left out.
 _SIMPLE = ("circle", "ellipse")
-# A curve of many bends that is farther off the centrelines is wrong if it leaves anything out: right ones of rendered
-# loops and helices leave 0.05 to 0.35 px.
-_NEAR_PX = 0.5
-# Places of a curve by which its image is told.
-_POINTS = 201
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,44 +161,29 @@ class ShapeSensor:
         Unmeasurable
             If that does not lead to one either, or the method does without it.
         """
-        see_whole = METHODS[self.method].see_whole
-        if see_whole is None or self.tube.tip.shape == "open":
+        starts = self._starts(pair)
+        if not starts:
             raise Unmeasurable(Status.TUBE_NOT_FOUND)
-        options = {}
-        for name, image in pair.images.items():
-            start, _ = self.start_of(name)
-            if start is None:
-                raise Unmeasurable(Status.TUBE_NOT_FOUND)
-            camera = self.rig.cameras[name]
-            options[name] = see_whole(name, image, self.backgrounds.get(name), camera, self.tube, start)
+        signals = signals_of(pair.images, self.backgrounds, starts)
 
         def solve(views: Mapping[str, View]) -> Curve3D:
             curve = self._solve(views, family)
-            self._believe(pair, views, curve)
+            believe(curve, views, self.rig, signals)
             return curve
 
-        return solve_any(options, self.rig, solve)
+        return solve_any(see_any(signals, self.rig, self.tube, starts), self.rig, solve)
+
+    def _starts(self, pair: FramePair) -> dict[str, Start]:
+        """Where the tube starts in all pictures; none where it is not known, or the method does without whole views."""
+        if not METHODS[self.method].whole or self.tube.tip.shape == "open":
+            return {}
+        starts = {name: self.start_of(name)[0] for name in pair.images}
+        return {name: start for name, start in starts.items() if start} if all(starts.values()) else {}
 
     def _believe(self, pair: FramePair, views: Mapping[str, View], curve: Curve3D) -> None:
-        """Refuse a curve of many bends that leaves out a part of the tube in all pictures, or in one that it is off.
-
-        Raises
-        ------
-        Unmeasurable
-            If something as wide as the tube leaves it there.
-        """
-        if METHODS[self.method].see_whole is None or curve.model in _SIMPLE or self.tube.tip.shape == "open":
-            return
-        points = curve.at(np.linspace(0.0, curve.length_mm, _POINTS))
-        near = reprojection_rms_px(curve, views, self.rig) <= _NEAR_PX
-        left_out = (self._leaves_out(pair, view, self.rig.project(name, points)) for name, view in views.items())
-        if all(left_out) if near else any(left_out):
-            raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="a strand as wide as the tube is left out")
-
-    def _leaves_out(self, pair: FramePair, view: View, way_px: Array) -> bool:
-        start, _ = self.start_of(view.camera)
-        image, background = pair.images[view.camera], self.backgrounds.get(view.camera)
-        return start is not None and leaves_out(view, way_px, image, background, start)
+        """Refuse a curve of many bends that leaves out a part of the tube; others have no loop to be left out."""
+        if curve.model not in _SIMPLE and (starts := self._starts(pair)):
+            believe(curve, views, self.rig, signals_of(pair.images, self.backgrounds, starts))
 
     def _see(self, name: str, image: Image) -> View:
         camera = self.rig.cameras[name]

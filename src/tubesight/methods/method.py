@@ -14,9 +14,6 @@ from tubesight.vision.view import View
 
 # (camera name, picture, background, camera, tube, start, base pixel) -> View; see `tubesight.vision.see.see`.
 Vision = Callable[[str, Image, Image | None, Camera, Tube, Start | None, Array | None], View]
-# (camera name, picture, background, camera, tube, start) -> views and costs; see `tubesight.vision.whole.see_whole`.
-WholeVision = Callable[[str, Image, Image | None, Camera, Tube, Start], list[tuple[float, View]]]
-
 
 @dataclass(frozen=True, slots=True)
 class Method:
@@ -32,9 +29,9 @@ class Method:
         ``(views, rig, tube) -> Curve3D``; raises `Unmeasurable` where the views do not give a curve.
     see
         The vision strategy: one picture to one `View`; raises `Unmeasurable` where the tube is not seen.
-    see_whole
-        Where what `see` gives leads to no curve: one picture to several views, each with what speaks against it; None
-        for methods that do without.
+    whole
+        Whether views of the whole silhouette (`tubesight.methods.whole`) are tried where what `see` gives leads to no
+        curve: it follows shapes that cross themselves or are partly hidden.
     solve_again
         ``(views, rig, tube, family) -> Curve3D``: the same, told of which family the curve was a moment ago (its
         `Curve3D.model`); None for methods to which that means nothing.
@@ -51,7 +48,7 @@ class Method:
     traits: Mapping[str, str]
     solve: Callable[[Mapping[str, View], Rig, Tube], Curve3D]
     see: Vision = see
-    see_whole: WholeVision | None = None
+    whole: bool = False
     solve_again: Callable[[Mapping[str, View], Rig, Tube, str], Curve3D] | None = None
     given: tuple[str, ...] = ()
     scene: str = "plain"

@@ -10,7 +10,6 @@ from tubesight.methods.method import Method
 from tubesight.methods.plugins import Registry
 from tubesight.methods.rivals import RIVALS
 from tubesight.vision.reference import Reference
-from tubesight.vision.whole import see_whole
 
 _PAPER = (
     "Dalvand, Nahavandi, Howe 2016, Fast vision-based catheter 3D reconstruction, "
@@ -68,7 +67,7 @@ METHODS: Mapping[str, Method] = Registry(
                 }
             ),
             solve=_SILHOUETTE,
-            see_whole=see_whole,
+            whole=True,
             solve_again=_SILHOUETTE,
         ),
         "reference": Method(

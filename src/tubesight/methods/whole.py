@@ -1,23 +1,80 @@
-"""Which of several views of each picture show one curve."""
+"""Views of a tube that no walk follows, from its whole silhouettes: which of them show one curve, and all of the tube."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 
-from tubesight.core import Status, Unmeasurable
+import numpy as np
+
+from tubesight.core import Image, Status, Tube, Unmeasurable
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
 from tubesight.methods.agreement import reprojection_rms_px
+from tubesight.vision.rest import leaves_out
+from tubesight.vision.see import Start
+from tubesight.vision.signal import Signal
+from tubesight.vision.silhouette import signal_of
+from tubesight.vision.stages import stages
 from tubesight.vision.view import View
+from tubesight.vision.whole import see_whole
 
 Views = Mapping[str, View]
 
-# Curves this near to the centrelines of their views are taken at once; farther ones where no other choice is nearer. On
-# rendered photographs of loops and helices right choices left 0.05 to 0.35 px.
+# Curves this near to the centrelines of their views are taken at once, farther ones where no other choice is nearer, and
+# those not if they leave anything out. On rendered loops and helices right choices left 0.05 to 0.4 px.
 _NEAR_PX = 0.5
 # Choices that are tried: the cheapest ones.
 _TRIED = 9
+# Places of a curve by which its image is told.
+_POINTS = 201
+
+
+def signals_of(
+    images: Mapping[str, Image], backgrounds: Mapping[str, Image], starts: Mapping[str, Start]
+) -> dict[str, list[Signal]]:
+    """Signals of each picture: by its own colours, and by those of the others, for where it passes its own base."""
+    run = stages()
+    colours = {
+        name: run.learn(image, backgrounds.get(name), start.px, start.way, start.width_px)
+        for name, image in images.items()
+        if (start := starts.get(name))
+    }
+    signals: dict[str, list[Signal]] = {}
+    for name, image in images.items():
+        signals[name] = []
+        for other in sorted(colours, key=lambda other: other != name):
+            try:
+                signals[name].append(signal_of(image, backgrounds.get(name), colours[other]))
+            except Unmeasurable as caught:
+                failure = caught
+        if not signals[name]:
+            raise failure
+    return signals
+
+
+def see_any(
+    signals: Mapping[str, Sequence[Signal]], rig: Rig, tube: Tube, starts: Mapping[str, Start]
+) -> dict[str, list[tuple[float, View]]]:
+    """Views of each picture that may be right, each with what speaks against it (`tubesight.vision.whole.see_whole`).
+
+    Raises
+    ------
+    Unmeasurable
+        If there is none of a picture.
+    """
+    options: dict[str, list[tuple[float, View]]] = {}
+    for name, known in signals.items():
+        failure: Unmeasurable | None = None
+        for signal in known:
+            try:
+                options[name] = see_whole(name, signal, rig.cameras[name], tube, starts[name])
+                break
+            except Unmeasurable as caught:
+                failure = failure or caught
+        if name not in options:
+            raise failure or Unmeasurable(Status.TUBE_NOT_FOUND)
+    return options
 
 
 def solve_any(
@@ -52,3 +109,18 @@ def solve_any(
         raise failure or Unmeasurable(Status.TUBE_NOT_FOUND)
     _, views, curve = min(found, key=lambda each: each[0])
     return views, curve
+
+
+def believe(curve: Curve3D, views: Views, rig: Rig, signals: Mapping[str, Sequence[Signal]]) -> None:
+    """Refuse a curve that leaves out a part of the tube in all pictures, or in any one where it is off its views.
+
+    Raises
+    ------
+    Unmeasurable
+        If something as wide as the tube leaves it there.
+    """
+    points = curve.at(np.linspace(0.0, curve.length_mm, _POINTS))
+    left_out = (leaves_out(view, rig.project(name, points), signals[name][0]) for name, view in views.items())
+    near = reprojection_rms_px(curve, views, rig) <= _NEAR_PX
+    if all(left_out) if near else any(left_out):
+        raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="a strand as wide as the tube is left out")

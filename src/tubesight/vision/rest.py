@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tubesight.core import Array, Image
+from tubesight.core import Array
 from tubesight.vision.edges import left_of
-from tubesight.vision.see import Start
-from tubesight.vision.silhouette import signal_of
-from tubesight.vision.stages import stages
+from tubesight.vision.signal import Signal
 from tubesight.vision.view import View
 
 # Samples beside the tube: so far from its middle, and from each other along it (widths).
@@ -24,7 +22,7 @@ _BASE = 1.0
 _TUBE = 0.5
 
 
-def leaves_out(view: View, way_px: Array, image: Image, background: Image | None, start: Start) -> bool:
+def leaves_out(view: View, way_px: Array, signal: Signal) -> bool:
     """Whether something as wide as the tube leaves the tube of a view, to the sides or beyond its tip.
 
     Parameters
@@ -43,7 +41,6 @@ def leaves_out(view: View, way_px: Array, image: Image, background: Image | None
     left = left_of(slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9))
     tip = view.tip.contour_px
     radius = float(np.linalg.norm(tip - view.tip.px, axis=1).mean()) if len(tip) else 0.0
-    signal = signal_of(image, background, stages().learn(image, background, start.px, start.way, start.width_px))
     most = int(np.ceil(_STRAND / _APART))
     for side in (1.0, -1.0):
         beside = middle + side * _ASIDE * width * left

@@ -65,6 +65,7 @@ def sample(image: Image, points_px: Array) -> Array:
 
 
 F = TypeVar("F", float, Array)
+ALL = slice(None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,21 +117,20 @@ class Signal:
         """Likeness to tube (...) at points (..., 2); NaN outside the picture."""
         return self._share(*self.colours(points_px))
 
-    def picture(self, size_px: tuple[int, int]) -> Array:
-        """Likeness to tube (H, W) of the whole picture shrunk to a size (W, H)."""
-        behind = None if self.background is None else _shrunk(self.background, size_px) * self.gain
-        return self._share(_shrunk(self.image, size_px), behind)
+    def picture(self, size_px: tuple[int, int], rows: slice = ALL, columns: slice = ALL) -> Array:
+        """Likeness to tube (H, W) of the picture shrunk to a size (W, H), or of a part of that."""
+
+        def light(image: Image) -> Array:
+            small = planes(cv2.resize(image, size_px, interpolation=cv2.INTER_AREA))
+            return LINEAR_LIGHT[small[rows, columns]]
+
+        return self._share(light(self.image), None if self.background is None else light(self.background) * self.gain)
 
     def _share(self, colour: Array, behind: Array | None) -> Array:
         behind = self.cloth if behind is None else behind
         from_tube = _distance(colour - self.tube, self.tube, SHADING_TUBE)
         from_cloth = _distance(colour - behind, behind, SHADING_CLOTH)
         return from_cloth / (from_tube + from_cloth + 1.0)
-
-
-def _shrunk(image: Image, size_px: tuple[int, int]) -> Array:
-    """Linear light (H, W, C) of a picture shrunk to a size (W, H)."""
-    return LINEAR_LIGHT[planes(cv2.resize(image, size_px, interpolation=cv2.INTER_AREA))]
 
 
 def _distance(off: Array, colour: Array, shading: float) -> Array:

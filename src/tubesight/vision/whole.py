@@ -6,14 +6,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from tubesight.core import Array, Image, Mask, Status, Tube, Unmeasurable
+from tubesight.core import Array, Mask, Status, Tube, Unmeasurable
 from tubesight.geometry.camera import Camera
 from tubesight.vision.chains import Chain, chains
 from tubesight.vision.locate import find_tip
+from tubesight.vision.pairs import FIRST_COUNT, FIRST_STEP, FIRST_WIDTHS
 from tubesight.vision.pieces import Piece, silhouette_of
 from tubesight.vision.see import Start, measured, view_of
 from tubesight.vision.signal import Signal
-from tubesight.vision.silhouette import signal_of
 from tubesight.vision.stages import Stages, stages
 from tubesight.vision.view import View
 from tubesight.vision.walker import FINE_STEP_PX, GAP_TOLD, STEP_MAX_PX, STEP_MIN_PX, STEP_WIDTHS, Track
@@ -24,15 +24,15 @@ _VIEWS = 3
 _OUTSIDE_WIDTHS, _OUTSIDE_PX = 0.15, 2.0
 # Above this likeness it is one.
 _TUBE = 0.5
+# So far from its base (widths) a walk looks for the first edges: what is hidden there is not told of.
+_AT_BASE = FIRST_WIDTHS + FIRST_COUNT * FIRST_STEP
 # Places of a part of the tube whose way is known.
 _FEWEST = 3
 # Scans of a view: so many along the whole tube.
 _SCANS = 64
 
 
-def see_whole(
-    name: str, image: Image, background: Image | None, camera: Camera, tube: Tube, start: Start
-) -> list[tuple[float, View]]:
+def see_whole(name: str, signal: Signal, camera: Camera, tube: Tube, start: Start) -> list[tuple[float, View]]:
     """See the tube in one picture by its pieces: views and what their orders cost, the likeliest first.
 
     Raises
@@ -41,7 +41,6 @@ def see_whole(
         If none of them ends in a tip.
     """
     run = stages()
-    signal = signal_of(image, background, run.learn(image, background, start.px, start.way, start.width_px))
     silhouette = silhouette_of(signal, start.width_px)
     found: list[tuple[float, View]] = []
     failure: Unmeasurable | None = None
@@ -63,7 +62,7 @@ def _view(run: Stages, name: str, signal: Signal, camera: Camera, tube: Tube, st
     parts = [part for piece in chain.pieces for part in _followed(run, signal, piece, step)]
     if not parts:
         raise Unmeasurable(Status.TUBE_NOT_FOUND, detail="no piece of it shows both edges")
-    track = _joined(parts, start.width_px)
+    track = _joined(parts, start)
     seen = [measured(run, signal, part) for part in parts]
     blur = float(np.median([each[1] for each in seen]))
     found = find_tip(run, signal, camera, tube, track, blur)
@@ -95,13 +94,14 @@ def _followed(run: Stages, signal: Signal, piece: Piece, step_px: float) -> list
     return [Track(np.array([p for p, _ in t]), np.array([w for _, w in t]), ()) for t in tracks if len(t) >= _FEWEST]
 
 
-def _joined(parts: list[Track], width_px: float) -> Track:
-    """One track of several, with the gaps between them."""
-    gaps = (float(np.linalg.norm(b.middle_px[0] - a.middle_px[-1])) / width_px for a, b in pairwise(parts))
+def _joined(parts: list[Track], start: Start) -> Track:
+    """One track of several, with the gaps between them, and before them where the base is hidden."""
+    gaps = [float(np.linalg.norm(b.middle_px[0] - a.middle_px[-1])) / start.width_px for a, b in pairwise(parts)]
+    before = float(np.linalg.norm(parts[0].middle_px[0] - start.px)) / start.width_px
     return Track(
         np.concatenate([part.middle_px for part in parts]),
         np.concatenate([part.width_px for part in parts]),
-        tuple(gap for gap in gaps if gap > GAP_TOLD),
+        tuple(gap for gap in (*((before,) if before > _AT_BASE else ()), *gaps) if gap > GAP_TOLD),
     )
 
 
