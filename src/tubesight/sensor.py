@@ -131,7 +131,8 @@ class ShapeSensor:
         except Unmeasurable as failure:
             try:
                 with _stage(ms, "look again"):
-                    views, curve = self._look_again(pair, family)
+                    whole, curve = self._look_again(pair, family)
+                    views = dict(whole)
                     rms, shape = self._shape(views, curve)
             except Unmeasurable:
                 return Reconstruction(pair.name, failure.status, (str(failure),), None, None, views, self.method, ms=ms)

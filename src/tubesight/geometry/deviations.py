@@ -64,7 +64,7 @@ class Deviations(Sequence[NodeCurve]):
         return bool(check(self.nodes.s_mm, self.nodes.d_s, self.covariance))
 
     def across_mm(self) -> Array:
-        """Standard deviation (M,) of the place of each node across the curve, in the direction where it is largest."""
+        """Return the largest standard deviation (M,) of each node's place across the curve."""
         points, along = self.nodes.d_points, self.nodes.tangents
         points = points - along[:, :, None] * np.einsum("mi,mip->mp", along, points)[:, None]
         squares = np.linalg.eigvalsh(np.einsum("mip,pq,mjq->mij", points, self.covariance, points))

@@ -117,7 +117,7 @@ def _cubic(one: Array, other: Array, chord: Array, count: int) -> Array:
 
 
 def _end_way(way: Array, reach: float) -> Array:
-    """Unit way (2,) in which a line of places (N, 2) leaves its end: that of a parabola through its last `reach`."""
+    """Tell the unit way (2,) in which places (N, 2) leave their end, by a parabola through the last `reach`."""
     off = np.linalg.norm(way - way[-1], axis=1)
     first = min(int(np.flatnonzero(off > reach).max(initial=-1)) + 1, len(way) - _ENDS)
     along = np.vander(-off[first:] / off[first], 3, increasing=True)
@@ -239,6 +239,8 @@ def flat_tip(views: Mapping[str, View], rig: Rig, tip_mm: Array, tangent: Array,
         front = ring[np.argsort(ring @ left)]
         front = front[front @ heading >= 0]
         inner = np.abs(across) < 0.85 * np.abs(front @ left).max()
+        if not inner.any():
+            raise Unmeasurable(Status.VIEWS_DISAGREE, detail=f"the end face in {name} lies beside the curve's end")
         shift = float(np.median(ahead[inner] - np.interp(across[inner], front @ left, front @ heading)))
         rays[name] = rig.cameras[name].unproject(px + shift * heading)[None]
     return np.asarray(rig.triangulate(rays)[0])

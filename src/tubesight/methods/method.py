@@ -15,6 +15,7 @@ from tubesight.vision.view import View
 # (camera name, picture, background, camera, tube, start, base pixel) -> View; see `tubesight.vision.see.see`.
 Vision = Callable[[str, Image, Image | None, Camera, Tube, Start | None, Array | None], View]
 
+
 @dataclass(frozen=True, slots=True)
 class Method:
     """A registered method: a vision strategy with a solver.

@@ -1,4 +1,4 @@
-"""Views of a tube that no walk follows, from its whole silhouettes: which of them show one curve, and all of the tube."""
+"""Views from whole silhouettes, of a tube that no walk follows: which of them show one curve, and all of the tube."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from tubesight.vision.whole import see_whole
 
 Views = Mapping[str, View]
 
-# Curves this near to the centrelines of their views are taken at once, farther ones where no other choice is nearer, and
-# those not if they leave anything out. On rendered loops and helices right choices left 0.05 to 0.4 px.
+# Curves this near to the centrelines of their views are taken at once, farther ones where no other choice is nearer,
+# and those not if they leave anything out. On rendered loops and helices right choices left 0.05 to 0.4 px.
 _NEAR_PX = 0.5
 # Choices that are tried: the cheapest ones.
 _TRIED = 9
@@ -56,7 +56,7 @@ def signals_of(
 def see_any(
     signals: Mapping[str, Sequence[Signal]], rig: Rig, tube: Tube, starts: Mapping[str, Start]
 ) -> dict[str, list[tuple[float, View]]]:
-    """Views of each picture that may be right, each with what speaks against it (`tubesight.vision.whole.see_whole`).
+    """See each picture in all ways that may be right, each with what speaks against it (`vision.whole.see_whole`).
 
     Raises
     ------
@@ -96,7 +96,7 @@ def solve_any(
     found: list[tuple[float, Views, Curve3D]] = []
     failure: Unmeasurable | None = None
     for choice in choices[:_TRIED]:
-        views = {name: view for name, (_, view) in zip(options, choice, strict=True)}
+        views: Views = {name: view for name, (_, view) in zip(options, choice, strict=True)}
         try:
             curve = solve(views)
         except Unmeasurable as caught:
@@ -107,8 +107,8 @@ def solve_any(
             break
     if not found:
         raise failure or Unmeasurable(Status.TUBE_NOT_FOUND)
-    _, views, curve = min(found, key=lambda each: each[0])
-    return views, curve
+    _, chosen, curve = min(found, key=lambda each: each[0])
+    return chosen, curve
 
 
 def believe(curve: Curve3D, views: Views, rig: Rig, signals: Mapping[str, Sequence[Signal]]) -> None:

@@ -15,7 +15,7 @@ from tubesight.simulate.scene import Colour, Scene, light_from_srgb, srgb_from_l
 
 # A sheet reaches this far to both sides of the tube, diameters of it.
 _REACH = 6.0
-# Corners are drawn to this part of a pixel (bits), by which antialiasing is exact enough for edges that are not measured.
+# Corners are drawn to this part of a pixel (bits): nothing is measured on the sheet's edges.
 _SHIFT = 4
 # Step along the tube by which its way in the picture is told (share of its length).
 _STEP = 1e-3
@@ -53,7 +53,9 @@ class Cover:
             raise ValueError(f"slant_rad: expected less than a right angle, got {self.slant_rad}")
 
 
-def cover(pair: FramePair, rig: Rig, phantom: Phantom, tube: Tube, sheet: Cover, scene: Scene | None = None) -> FramePair:
+def cover(
+    pair: FramePair, rig: Rig, phantom: Phantom, tube: Tube, sheet: Cover, scene: Scene | None = None
+) -> FramePair:
     """Hide a part of the tube in one picture of a pair (`render_pair`).
 
     Raises
@@ -69,13 +71,14 @@ def cover(pair: FramePair, rig: Rig, phantom: Phantom, tube: Tube, sheet: Cover,
     corners = np.rint(np.concatenate([one, other[::-1]]) * 2**_SHIFT).astype(np.int32)
     alpha = np.zeros(image.shape[:2], np.uint8)
     cv2.fillPoly(alpha, [corners], 255, cv2.LINE_AA, _SHIFT)
-    soft = alpha[..., None].astype(np.float32) / 255
+    soft = alpha.astype(np.float32) / 255
     if look.blur_px:
-        soft = cv2.GaussianBlur(soft, (0, 0), look.blur_px)[..., None]
+        cv2.GaussianBlur(soft, (0, 0), look.blur_px, dst=soft)
     rng = look.random("cover", pair.name, sheet.camera, sheet.start, sheet.end)
     light = light_from_srgb(sheet.colour_bgr) * (1 + sheet.texture * grain(image.shape[:2], rng))[..., None]
-    mixed = srgb_from_light(light_from_srgb(image) * (1 - soft) + light * soft)
-    mixed += soft * look.noise_levels * rng.standard_normal(image.shape, dtype=np.float32)
+    share = soft[..., None]
+    mixed = srgb_from_light(light_from_srgb(image) * (1 - share) + light * share)
+    mixed += share * look.noise_levels * rng.standard_normal(image.shape, dtype=np.float32)
     images = {**pair.images, sheet.camera: np.clip(np.rint(mixed), 0, 255).astype(np.uint8)}
     return FramePair(images, name=pair.name)
 

@@ -2,8 +2,8 @@
 
 Where a tube passes itself, the strand that goes straight on is the same one: place, way and bend continue. Each join of
 two ends of pieces has a cost, how far it is from a curve whose bend changes evenly between them, and how much of it
-lies beside the silhouette; what a chain leaves out costs as well. The best few chains are returned: which of them is the
-tube's shape may only show in the other pictures.
+lies beside the silhouette; what a chain leaves out costs as well. The best few chains are returned: which of them is
+the tube's shape may only show in the other pictures.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def _join(one: _End, other: _End, silhouette: Silhouette, width_px: float) -> fl
     cost = off / (1 + off / _CORNER) + _LONG * size / width_px
     t = np.linspace(0, 1, _SAMPLES)[:, None]
     way = one.px + t * size * one.way * (1 - t) ** 2 + t**2 * (3 - 2 * t) * chord + t**2 * (1 - t) * size * other.way
-    return cost + _BESIDE * float(np.mean(~silhouette.covers(way))) * size / width_px
+    return float(cost + _BESIDE * np.mean(~silhouette.covers(way)) * size / width_px)
 
 
 def _angle(one: Array, other: Array) -> float:

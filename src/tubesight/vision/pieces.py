@@ -16,14 +16,14 @@ import numpy as np
 from tubesight.core import Array, Mask
 from tubesight.vision.signal import Signal
 
-# The tube is this wide in the shrunk picture: the middle line is then half a pixel of it, a sixteenth of the width, off.
+# The tube is this wide in the shrunk picture: half a pixel of it, by which the middle line is off, is a twentieth.
 _SHRUNK_PX = 10.0
 # Likeness (`Signal`) above which a pixel counts as tube.
 _TUBE = 0.5
 # A first look is so many times coarser, and takes what is so much like tube: the tube is then 2.5 pixels wide.
 _COARSER, _FAINT = 4, 0.25
-# A silhouette may be one tube where it is so many widths at the base wide (nearer to the camera or farther from it), and
-# where it does not widen or narrow faster than this (widths by width): strands that part do.
+# A silhouette may be one tube where it is so many widths at the base wide (nearer to the camera or farther from it),
+# and where it does not widen or narrow faster than this (widths by width): strands that part do.
 _ONE_TUBE, _STEADY = (0.45, 2.0), 0.3
 # Highlights of up to two fifths of the tube's width are closed.
 _CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
@@ -43,11 +43,11 @@ class Piece(NamedTuple):
 
 
 class Silhouette(NamedTuple):
-    """What looks like tube (h, w), where it begins and how large its pixels are in the picture, and its pieces."""
+    """What looks like tube (h, w), where it begins (2,) and how large its pixels (2,) are, and its pieces."""
 
     mask: Mask
     corner_px: Array
-    pixel_px: float
+    pixel_px: Array
     pieces: tuple[Piece, ...]
 
     def covers(self, points_px: Array) -> Mask:
@@ -55,7 +55,7 @@ class Silhouette(NamedTuple):
         height, width = self.mask.shape
         column, row = np.floor((points_px - self.corner_px + 0.5) / self.pixel_px).astype(int).T
         inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        return inside & self.mask[np.where(inside, row, 0), np.where(inside, column, 0)]
+        return np.asarray(inside & self.mask[np.where(inside, row, 0), np.where(inside, column, 0)])
 
 
 def silhouette_of(signal: Signal, width_px: float) -> Silhouette:
@@ -65,12 +65,13 @@ def silhouette_of(signal: Signal, width_px: float) -> Silhouette:
     size = max(round(width / pixel), 1), max(round(height / pixel), 1)
     rows, columns = _around(signal, size)
     mask = (np.nan_to_num(signal.picture(size, rows, columns)) > _TUBE).astype(np.uint8)
-    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _CLOSING)
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _CLOSING), np.uint8)
     line = cv2.ximgproc.thinning(255 * mask) > 0
     across = 2 * cv2.distanceTransform(mask, cv2.DIST_L2, 5) * pixel / width_px
     clean = line & (across > _ONE_TUBE[0]) & (across < _ONE_TUBE[1])
     clean &= cv2.dilate(_forks(line).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
-    corner = np.array([columns.start, rows.start]) * pixel
+    scale = np.array([width, height]) / size
+    corner = np.array([columns.start, rows.start]) * scale
     pieces = []
     cut, fewest = int(_CUT * width_px / pixel), max(int(_SHORTEST * width_px / pixel), 3)
     for way in _lines(clean):
@@ -78,8 +79,8 @@ def silhouette_of(signal: Signal, width_px: float) -> Silhouette:
             inner = way[steady][cut : steady.stop - steady.start - cut]
             if len(inner) >= fewest:
                 half = across[inner[:, 1], inner[:, 0]] * width_px / 2
-                pieces.append(Piece(_smooth(corner + (inner + 0.5) * pixel - 0.5), half))
-    return Silhouette(mask > 0, corner, pixel, tuple(pieces))
+                pieces.append(Piece(_smooth(corner + (inner + 0.5) * scale - 0.5), half))
+    return Silhouette(mask > 0, corner, scale, tuple(pieces))
 
 
 def _around(signal: Signal, size: tuple[int, int]) -> tuple[slice, slice]:
@@ -87,14 +88,15 @@ def _around(signal: Signal, size: tuple[int, int]) -> tuple[slice, slice]:
     small = max(size[0] // _COARSER, 1), max(size[1] // _COARSER, 1)
     seen = np.nan_to_num(signal.picture(small)) > _FAINT
 
-    def extent(line: Mask, full: int) -> slice:
+    def extent(axis: int, full: int) -> slice:
+        line = np.asarray(seen.any(axis))
         found = np.flatnonzero(line)
         if not len(found):
             return slice(0, full)
         step = full / len(line)
         return slice(max(int((found[0] - 1) * step), 0), min(int((found[-1] + 2) * step) + 1, full))
 
-    return extent(seen.any(1), size[1]), extent(seen.any(0), size[0])
+    return extent(1, size[1]), extent(0, size[0])
 
 
 def _steady(across: Array, step: float) -> list[slice]:

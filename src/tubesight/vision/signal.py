@@ -121,7 +121,7 @@ class Signal:
         """Likeness to tube (H, W) of the picture shrunk to a size (W, H), or of a part of that."""
 
         def light(image: Image) -> Array:
-            small = planes(cv2.resize(image, size_px, interpolation=cv2.INTER_AREA))
+            small = planes(np.asarray(cv2.resize(image, size_px, interpolation=cv2.INTER_AREA), np.uint8))
             return LINEAR_LIGHT[small[rows, columns]]
 
         return self._share(light(self.image), None if self.background is None else light(self.background) * self.gain)

@@ -69,9 +69,7 @@ def _view(run: Stages, name: str, signal: Signal, camera: Camera, tube: Tube, st
     spacing = max(sum(_length(part) for part in parts) / _SCANS, FINE_STEP_PX)
     edges = np.concatenate([_thinned(each[0], spacing) for each in seen])
     doubt = np.max([each[2] for each in seen], axis=0)
-    return view_of(
-        name, run, signal, camera, tube, track, found, (edges[_free(signal, edges)], blur, doubt), start.px
-    )
+    return view_of(name, run, signal, camera, tube, track, found, (edges[_free(signal, edges)], blur, doubt), start.px)
 
 
 def _followed(run: Stages, signal: Signal, piece: Piece, step_px: float) -> list[Track]:
@@ -110,7 +108,7 @@ def _length(track: Track) -> float:
 
 
 def _thinned(edges: Array, spacing_px: float) -> Array:
-    """Scans (K, 2, 2) of (N, 2, 2) that are about so far from each other: as many a width in all parts of the tube."""
+    """Leave out scans (N, 2, 2) so that they are about so far from each other in all parts of the tube."""
     if len(edges) < 2:
         return edges
     usual = float(np.median(np.linalg.norm(np.diff(edges.mean(1), axis=0), axis=1)))
