@@ -22,6 +22,7 @@ from tubesight.methods.rays import optics
 from tubesight.methods.whole import believe, see_any, signals_of, solve_any
 from tubesight.vision.mark import starts_at
 from tubesight.vision.see import Start, clamp_start
+from tubesight.vision.signal import Signal
 from tubesight.vision.view import View
 
 DEFAULT_METHOD = "silhouette"
@@ -169,7 +170,7 @@ class ShapeSensor:
 
         def solve(views: Mapping[str, View]) -> Curve3D:
             curve = self._solve(views, family)
-            believe(curve, views, self.rig, signals)
+            believe(curve, views, self.rig, lambda name: signals[name][0])
             return curve
 
         return solve_any(see_any(signals, self.rig, self.tube, starts), self.rig, solve)
@@ -184,7 +185,11 @@ class ShapeSensor:
     def _believe(self, pair: FramePair, views: Mapping[str, View], curve: Curve3D) -> None:
         """Refuse a curve of many bends that leaves out a part of the tube; others have no loop to be left out."""
         if curve.model not in _SIMPLE and (starts := self._starts(pair)):
-            believe(curve, views, self.rig, signals_of(pair.images, self.backgrounds, starts))
+
+            def signal(name: str) -> Signal:
+                return signals_of({name: pair.images[name]}, self.backgrounds, starts)[name][0]
+
+            believe(curve, views, self.rig, signal)
 
     def _see(self, name: str, image: Image) -> View:
         camera = self.rig.cameras[name]

@@ -111,8 +111,13 @@ def solve_any(
     return chosen, curve
 
 
-def believe(curve: Curve3D, views: Views, rig: Rig, signals: Mapping[str, Sequence[Signal]]) -> None:
+def believe(curve: Curve3D, views: Views, rig: Rig, signal_of_view: Callable[[str], Signal]) -> None:
     """Refuse a curve that leaves out a part of the tube in all pictures, or in any one where it is off its views.
+
+    Parameters
+    ----------
+    signal_of_view
+        Signal of a camera's picture.
 
     Raises
     ------
@@ -120,7 +125,7 @@ def believe(curve: Curve3D, views: Views, rig: Rig, signals: Mapping[str, Sequen
         If something as wide as the tube leaves it there.
     """
     points = curve.at(np.linspace(0.0, curve.length_mm, _POINTS))
-    left_out = (leaves_out(view, rig.project(name, points), signals[name][0]) for name, view in views.items())
+    left_out = (leaves_out(view, rig.project(name, points), signal_of_view(name)) for name, view in views.items())
     near = reprojection_rms_px(curve, views, rig) <= _NEAR_PX
     if all(left_out) if near else any(left_out):
         raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail="a strand as wide as the tube is left out")

@@ -44,9 +44,12 @@ def leaves_out(view: View, way_px: Array, signal: Signal) -> bool:
     most = int(np.ceil(_STRAND / _APART))
     for side in (1.0, -1.0):
         beside = middle + side * _ASIDE * width * left
-        off = np.linalg.norm(beside[:, None] - middle, axis=2).min(1)
-        free = (off > _OWN * width) & (np.linalg.norm(beside - view.tip.px, axis=1) > radius + width)
-        like = free & (np.nan_to_num(signal(beside)) > _TUBE)
+        like = np.nan_to_num(signal(beside)) > _TUBE
+        if like.sum() < most:
+            continue
+        found = beside[like]
+        own = np.linalg.norm(found[:, None] - middle, axis=2).min(1) <= _OWN * width
+        like[like] = ~own & (np.linalg.norm(found - view.tip.px, axis=1) > radius + width)
         if (np.convolve(like, np.ones(most), "valid") >= most).any():
             return True
     return False
