@@ -42,8 +42,8 @@ NEAR_WIDTHS, ROOM_PX, ROOM_FLAT_WIDTHS = 1.5, 2.0, 0.15
 # 26 places.
 SURE_TIP_PX, SURE_CONTOUR = 0.2, 20
 
-# Edges (N, 2, 2) of a track, the width of the picture's edges, and how far each row of edges may be off (2,).
-Measured = tuple[Array, float, Array]
+# What `walker.measure` tells of a track: edges (N, 2, 2), blur, doubts (2,), and how far outwards the edges lie.
+Measured = tuple[Array, float, Array, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +142,7 @@ def view_of(
     Unmeasurable
         If too few of its edges lie before its tip.
     """
-    (tip, ending, radius), (edges, blur, doubt) = found, edges_of
+    (tip, ending, radius), (edges, blur, doubt, _) = found, edges_of
     room = ROOM_PX + (radius if tube.tip.shape == "ball" else 0.0)
     if tube.tip.shape == "flat":
         room += ROOM_FLAT_WIDTHS * ending.width_px
@@ -155,7 +155,7 @@ def view_of(
 
 def _open_view(name: str, run: Stages, camera: Camera, signal: Signal, track: Track, base: Array) -> View:
     """View of a tube whose end is not looked for: its last scan stands for the tip."""
-    edges, blur, doubt = measured(run, signal, track)
+    edges, blur, doubt, _ = measured(run, signal, track)
     last, heading, _ = last_way(track.middle_px)
     edges, unit, rays, centreline, first, rough = run.tube_rays(camera, edges, heading, last, 0.0, 0.0, base)
     if len(edges) < SCANS_MIN:
@@ -166,10 +166,10 @@ def _open_view(name: str, run: Stages, camera: Camera, signal: Signal, track: Tr
 
 def measured(run: Stages, signal: Signal, track: Track) -> Measured:
     """Edges, blur and doubts of a track; those of the walk where the tube is too thin to be measured."""
-    edges, blur, doubt, _ = run.measure(signal, track)
+    edges, blur, doubt, outwards = run.measure(signal, track)
     if len(edges) >= SCANS_MIN or float(np.median(track.width_px)) > _THIN_PX:
-        return edges, blur, doubt
-    return walked_edges(track), blur, np.full(2, _WALKED_PX)
+        return edges, blur, doubt, outwards
+    return walked_edges(track), blur, np.full(2, _WALKED_PX), outwards
 
 
 def _notes(track: Track) -> tuple[str, ...]:

@@ -65,11 +65,13 @@ def _view(run: Stages, name: str, signal: Signal, camera: Camera, tube: Tube, st
     track = _joined(parts, start)
     seen = [measured(run, signal, part) for part in parts]
     blur = float(np.median([each[1] for each in seen]))
-    found = find_tip(run, signal, camera, tube, track, blur)
+    outwards = float(np.median([each[3] for each in seen]))
+    found = find_tip(run, signal, camera, tube, track, blur, outwards)
     spacing = max(sum(_length(part) for part in parts) / _SCANS, FINE_STEP_PX)
     edges = np.concatenate([_thinned(each[0], spacing) for each in seen])
     doubt = np.max([each[2] for each in seen], axis=0)
-    return view_of(name, run, signal, camera, tube, track, found, (edges[_free(signal, edges)], blur, doubt), start.px)
+    edges = edges[_free(signal, edges)]
+    return view_of(name, run, signal, camera, tube, track, found, (edges, blur, doubt, outwards), start.px)
 
 
 def _followed(run: Stages, signal: Signal, piece: Piece, step_px: float) -> list[Track]:
