@@ -19,14 +19,18 @@ from tubesight.methods.agreement import reprojection_rms_px
 from tubesight.methods.common_end import to_common_end
 from tubesight.methods.mark import from_mark, marked_width_px
 from tubesight.methods.rays import optics
+from tubesight.methods.whole import believe, see_any, signals_of, solve_any
 from tubesight.vision.mark import starts_at
 from tubesight.vision.see import Start, clamp_start
+from tubesight.vision.signal import Signal
 from tubesight.vision.view import View
 
 DEFAULT_METHOD = "silhouette"
 # Standard deviation of a triangulated tip across the tube's axis on a photograph, px: with three of it the azimuth of a
 # straight tube is noise.
 _TIP_SD_PX = 0.15
+# Curves of these families have no loop to be left out.
+_SIMPLE = ("circle", "ellipse")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,10 +127,16 @@ class ShapeSensor:
                 if self.tube.tip.shape == "open":
                     views = to_common_end(views, self.rig)
                 curve = self._solve(views, family)
-                rms = reprojection_rms_px(curve, views, self.rig)
-                shape = shape_of(curve, 3 * self._tip_sd_mm(curve))
+                self._believe(pair, views, curve)
+                rms, shape = self._shape(views, curve)
         except Unmeasurable as failure:
-            return Reconstruction(pair.name, failure.status, (str(failure),), None, None, views, self.method, ms=ms)
+            try:
+                with _stage(ms, "look again"):
+                    whole, curve = self._look_again(pair, family)
+                    views = dict(whole)
+                    rms, shape = self._shape(views, curve)
+            except Unmeasurable:
+                return Reconstruction(pair.name, failure.status, (str(failure),), None, None, views, self.method, ms=ms)
         notes = [f"{v.camera}: {note}" for v in views.values() for note in v.notes]
         if isinstance(curve, NodeCurve) and curve.note:
             notes.append(curve.note)
@@ -139,6 +149,47 @@ class ShapeSensor:
         if family and method.solve_again is not None:
             return method.solve_again(views, self.rig, self.tube, family)
         return method.solve(views, self.rig, self.tube)
+
+    def _shape(self, views: Mapping[str, View], curve: Curve3D) -> tuple[float, Shape]:
+        """Distance of a curve from the views' centrelines, and its numbers."""
+        rms = reprojection_rms_px(curve, views, self.rig)
+        return rms, shape_of(curve, 3 * self._tip_sd_mm(curve))
+
+    def _look_again(self, pair: FramePair, family: str) -> tuple[Mapping[str, View], Curve3D]:
+        """See the whole silhouette of a clamped tube, of which the walk along it leads to no curve.
+
+        Raises
+        ------
+        Unmeasurable
+            If that does not lead to one either, or the method does without it.
+        """
+        starts = self._starts(pair)
+        if not starts:
+            raise Unmeasurable(Status.TUBE_NOT_FOUND)
+        signals = signals_of(pair.images, self.backgrounds, starts)
+
+        def solve(views: Mapping[str, View]) -> Curve3D:
+            curve = self._solve(views, family)
+            believe(curve, views, self.rig, lambda name: signals[name][0])
+            return curve
+
+        return solve_any(see_any(signals, self.rig, self.tube, starts), self.rig, solve)
+
+    def _starts(self, pair: FramePair) -> dict[str, Start]:
+        """Where the tube starts in all pictures; none where it is not known, or the method does without whole views."""
+        if not METHODS[self.method].whole or self.tube.tip.shape == "open":
+            return {}
+        starts = {name: self.start_of(name)[0] for name in pair.images}
+        return {name: start for name, start in starts.items() if start} if all(starts.values()) else {}
+
+    def _believe(self, pair: FramePair, views: Mapping[str, View], curve: Curve3D) -> None:
+        """Refuse a curve of many bends that leaves out a part of the tube; others have no loop to be left out."""
+        if curve.model not in _SIMPLE and (starts := self._starts(pair)):
+
+            def signal(name: str) -> Signal:
+                return signals_of({name: pair.images[name]}, self.backgrounds, starts)[name][0]
+
+            believe(curve, views, self.rig, signal)
 
     def _see(self, name: str, image: Image) -> View:
         camera = self.rig.cameras[name]

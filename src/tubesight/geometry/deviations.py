@@ -63,6 +63,13 @@ class Deviations(Sequence[NodeCurve]):
         check = shape_kernels.bounded if COMPILED else bounded
         return bool(check(self.nodes.s_mm, self.nodes.d_s, self.covariance))
 
+    def across_mm(self) -> Array:
+        """Return the largest standard deviation (M,) of each node's place across the curve."""
+        points, along = self.nodes.d_points, self.nodes.tangents
+        points = points - along[:, :, None] * np.einsum("mi,mip->mp", along, points)[:, None]
+        squares = np.linalg.eigvalsh(np.einsum("mip,pq,mjq->mij", points, self.covariance, points))
+        return np.asarray(np.sqrt(np.maximum(squares[:, -1], 0.0)))
+
     def __len__(self) -> int:
         return len(self.curves)
 

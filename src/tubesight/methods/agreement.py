@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from tubesight.core import Array, Status, Unmeasurable
+from tubesight.core import Array, Mask, Status, Unmeasurable
 from tubesight.core.kernels import COMPILED
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.cone import place_along
@@ -25,9 +25,11 @@ _TIP_GAP_MAX_PX = 4.0
 _BASE_GAP_WIDTHS = 0.5
 # Places of a centreline nearer to the next one than this share of the median step are left out of a spline.
 _NEAR_STEPS = 0.3
-# A gap of so many usual steps may hide a corner, where the way turns by 45 degrees or more; lines that meet farther
-# away than so many times the gap are nearly parallel: where they meet says little.
-_CORNER_STEPS, _CORNER_SINE, _CORNER_FAR = 1.6, 0.7, 1.5
+# Steps of so many usual ones are gaps. Ways that turn by less have no corner; where they meet farther away than so many
+# times the gap they are nearly parallel, and say little of it.
+_GAP_STEPS, _CORNER_RAD, _CORNER_FAR = 1.6, 0.8, 3.0
+# Fewest places that tell the way at an end.
+_ENDS = 5
 # Places of a curve that are reprojected: its image strays from their polyline by less than 0.01 px.
 _SHARES = np.linspace(0.0, 1.0, 100)
 
@@ -53,28 +55,74 @@ def _best_pair(names: tuple[str, ...], rig: Rig) -> tuple[str, str]:
 
 
 def way_of(view: View) -> Array:
-    """Rays ``v = (x, y, 1)`` (N, 3) of the whole centreline of a view: base, centreline with its corners, tip."""
-    return np.vstack([view.base, _with_corners(view.rays), view.tip.axis / view.tip.axis[2]])
+    """Rays ``v = (x, y, 1)`` (N, 3) of the whole centreline of a view: base, centreline with its gaps bridged, tip."""
+    return way_and_gaps(view)[0]
 
 
-def _with_corners(way: Array) -> Array:
-    """Add to a centreline (N, 3) the corners that it goes round unseen: where the ways on both sides of a gap meet."""
-    steps = np.diff(way[:, :2], axis=0)
-    size = np.linalg.norm(steps, axis=1)
+def way_and_gaps(view: View, corners: bool = False) -> tuple[Array, Mask]:
+    """Rays (N, 3) of the whole centreline of a view, as `way_of`, and which of them (N,) lie in gaps.
+
+    Parameters
+    ----------
+    corners
+        Where the ways on both sides of a gap meet at an angle, it is bridged by that corner: a tube that bends towards
+        the camera goes round one. Else by a cubic that continues both.
+    """
+    way, gap = _bridged(view.rays, corners)
+    whole = np.vstack([view.base, way, view.tip.axis / view.tip.axis[2]])
+    return whole, np.concatenate([[False], gap, [False]])
+
+
+def _bridged(way: Array, corners: bool) -> tuple[Array, Mask]:
+    """Add to a centreline (N, 3) what lies in its gaps; tell which it is."""
+    step = np.linalg.norm(np.diff(way[:, :2], axis=0), axis=1)
+    usual = float(np.median(step))
     inserted, at = [], []
-    for k in np.flatnonzero(size > _CORNER_STEPS * np.median(size)):
-        if not 0 < k < len(steps) - 1:
+    for k in np.flatnonzero(step > _GAP_STEPS * usual):
+        if not _ENDS <= k + 1 <= len(way) - _ENDS:
             continue
-        before, after = steps[k - 1] / size[k - 1], steps[k + 1] / size[k + 1]
-        turn = before[0] * after[1] - before[1] * after[0]
-        if abs(turn) < _CORNER_SINE and before @ after > 0:
-            continue
-        a = (steps[k, 0] * after[1] - steps[k, 1] * after[0]) / turn
-        b = (before[0] * steps[k, 1] - before[1] * steps[k, 0]) / turn
-        if 0 < a < _CORNER_FAR * size[k] and 0 < b < _CORNER_FAR * size[k]:
-            inserted.append(np.append(way[k, :2] + a * before, 1.0))
-            at.append(k + 1)
-    return np.insert(way, at, np.array(inserted), axis=0) if at else way
+        reach = max(step[k], _ENDS * usual)
+        one, other = _end_way(way[: k + 1, :2], reach), _end_way(way[:k:-1, :2], reach)
+        count = math.ceil(step[k] / usual)
+        chord = way[k + 1, :2] - way[k, :2]
+        corner = _corner(one, other, chord) if corners else None
+        places = (_cubic(one, other, chord, count) if corner is None else corner) + way[k, :2]
+        inserted.append(np.column_stack([places, np.ones(len(places))]))
+        at += [k + 1] * len(places)
+    if not at:
+        return way, np.zeros(len(way), dtype=bool)
+    return np.insert(way, at, np.concatenate(inserted), axis=0), np.insert(np.zeros(len(way)), at, 1.0) > 0
+
+
+def _turn(one: Array, other: Array) -> float:
+    """Angle between a way that leaves one end and one that comes to another one, which is left along `other`."""
+    return math.atan2(one[0] * other[1] - one[1] * other[0], -(one @ other))
+
+
+def _corner(one: Array, other: Array, chord: Array) -> Array | None:
+    """Corner (1, 2) in which the ways that leave both ends of a chord meet; None where they are nearly one line."""
+    if abs(_turn(one, other)) < _CORNER_RAD:
+        return None
+    a, b = np.linalg.solve(np.stack([one, -other], 1), chord)
+    far = _CORNER_FAR * np.linalg.norm(chord)
+    return (a * one)[None] if 0 < a < far and 0 < b < far else None
+
+
+def _cubic(one: Array, other: Array, chord: Array, count: int) -> Array:
+    """Places (count - 1, 2) of a cubic over a chord that leaves both of its ends along given ways."""
+    # Tangents of this length make an arc of a circle of a cubic.
+    size = float(np.linalg.norm(chord)) / math.cos(_turn(one, other) / 4) ** 2
+    t = np.arange(1, count)[:, None] / count
+    return np.asarray(t * (1 - t) ** 2 * size * one + t**2 * (3 - 2 * t) * chord + t**2 * (1 - t) * size * other)
+
+
+def _end_way(way: Array, reach: float) -> Array:
+    """Tell the unit way (2,) in which places (N, 2) leave their end, by a parabola through the last `reach`."""
+    off = np.linalg.norm(way - way[-1], axis=1)
+    first = min(int(np.flatnonzero(off > reach).max(initial=-1)) + 1, len(way) - _ENDS)
+    along = np.vander(-off[first:] / off[first], 3, increasing=True)
+    slope = np.linalg.lstsq(along, way[first:], rcond=None)[0][1]
+    return np.asarray(slope / np.linalg.norm(slope))
 
 
 def resampled(way: Array, share: Array) -> Array:
@@ -191,6 +239,8 @@ def flat_tip(views: Mapping[str, View], rig: Rig, tip_mm: Array, tangent: Array,
         front = ring[np.argsort(ring @ left)]
         front = front[front @ heading >= 0]
         inner = np.abs(across) < 0.85 * np.abs(front @ left).max()
+        if not inner.any():
+            raise Unmeasurable(Status.VIEWS_DISAGREE, detail=f"the end face in {name} lies beside the curve's end")
         shift = float(np.median(ahead[inner] - np.interp(across[inner], front @ left, front @ heading)))
         rays[name] = rig.cameras[name].unproject(px + shift * heading)[None]
     return np.asarray(rig.triangulate(rays)[0])

@@ -220,7 +220,7 @@ def _fit_splines(problem: Problem, smooth: Fit, any_shape: AnyShape) -> tuple[Pr
     tangents = curve.tangent(np.linspace(0.0, curve.length_mm, INTERVALS + 1))
     start = problem.start if problem.clamped else frame_along(curve.at([0.0])[0], tangents[0])
     general = placed(problem, curve, start)
-    return general, general_fits(general, turns_of(tangents, start), curve.length_mm, _GOOD_PX)
+    return general, general_fits(general, turns_of(tangents, start), curve.length_mm, _GOOD_PX, curve)
 
 
 def _why(chosen: Fit, fits: Mapping[str, Fit]) -> str:

@@ -13,6 +13,7 @@ Strobel 2012 and its successors, which skeletonise and match by epipolar distanc
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -22,7 +23,7 @@ from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.matching import Indices, monotone_way
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import smoothing
-from tubesight.methods.agreement import best_pair, reprojection_rms_px, resampled, triangulate_tip, way_of
+from tubesight.methods.agreement import best_pair, reprojection_rms_px, resampled, triangulate_tip, way_and_gaps
 from tubesight.vision.view import View
 
 # Places of each centreline: 1.3 mm apart on a tube of 160 mm; matches are found between them.
@@ -49,6 +50,8 @@ _GAP_MAX_PX = 2.0
 _MATCHES_MIN = 12
 # Curves that leave the tube's centreline in a view by more than this are wrong: right ones leave 0.1 to 0.6 px.
 _RMS_MAX_PX = 1.5
+# Fits of edges still reach their end from curves that are this far off.
+_RMS_START_PX = 6.0
 
 
 def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
@@ -64,15 +67,51 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
     Unmeasurable
         If the centrelines are not of one curve, or too few of the matches fix a point.
     """
+    curve, rms = _likeliest(views, rig, tube)
+    if not rms <= _RMS_MAX_PX:
+        raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {rms:.1f} px")
+    return curve
+
+
+def start(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
+    """Find the same curve as a start for another method: it may be farther off the centrelines."""
+    curve, rms = _likeliest(views, rig, tube)
+    if not rms <= _RMS_START_PX:
+        raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {rms:.1f} px")
+    return curve
+
+
+def _likeliest(views: Mapping[str, View], rig: Rig, tube: Tube) -> tuple[Curve3D, float]:
+    """Of the ways to bridge gaps, curves or corners, take that with the least distance from the centrelines."""
     one, other = best_pair(views, rig)
+    options = {name: [way_and_gaps(views[name], corners) for corners in (False, True)] for name in (one, other)}
+    for ways in options.values():
+        if np.array_equal(ways[0][0], ways[1][0]):
+            ways.pop()
+    found: list[tuple[float, Curve3D]] = []
+    failure = Unmeasurable(Status.VIEWS_DISAGREE)
+    for pair in product(*options.values()):
+        try:
+            curve = _matched(dict(zip((one, other), pair, strict=True)), views, rig, tube)
+        except Unmeasurable as caught:
+            failure = caught
+        else:
+            found.append((max(reprojection_rms_px(curve, {n: views[n]}, rig) for n in (one, other)), curve))
+    if not found:
+        raise failure
+    rms, curve = min(found, key=lambda each: each[0])
+    return curve, rms
+
+
+def _matched(whole: Mapping[str, tuple[Array, Mask]], views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
+    """Curve from two whole centrelines by camera, each with its gaps."""
+    one, other = whole
     share = np.linspace(0.0, 1.0, _PLACES)
-    seen = {name: way_of(views[name]) for name in (one, other)}
-    ways = {name: resampled(way, share) for name, way in seen.items()}
+    ways = {name: resampled(way, share) for name, (way, _) in whole.items()}
     off = epipolar_distance_px(ways[one], ways[other], rig, one, other)
-    unseen = [in_gap(way, share) for way in seen.values()]
-    cost = np.minimum(np.abs(off), _LARGEST_PX) ** 2
-    cost[unseen[0][:, None] | unseen[1]] /= _GAP_SD**2
-    way = monotone_way(cost, _SKIP)
+    unseen = [in_gap(*whole[name], share) for name in (one, other)]
+    doubt = np.where(unseen[0][:, None] | unseen[1], _GAP_SD, 1.0)
+    way = monotone_way(np.minimum(np.abs(off) / doubt, _LARGEST_PX) ** 2, _SKIP)
     guessed = unseen[0][way[:, 0]] | unseen[1][way[:, 1]]
     u, v = _refined(off, way)
     if not float(np.median(np.abs(_at(off, u, v)))) <= _GAP_MAX_PX:
@@ -87,18 +126,14 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
     depth = np.mean([rig.camera_from_base[n].apply(points)[:, 2] / rig.cameras[n].focal_px for n in ways], axis=0)
     sd = _SD_PX * depth / crossing[used] * np.where(guessed[used], _GAP_SD, 1.0)
     ends = [np.zeros(3) if tube.clamped else None, triangulate_tip(views, rig)]
-    curve = smoothing(*_with_ends(points, (u + v)[used], sd, ends))
-    rms = max(reprojection_rms_px(curve, {name: views[name]}, rig) for name in ways)
-    if not rms <= _RMS_MAX_PX:
-        raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {rms:.1f} px")
-    return curve
+    return smoothing(*_with_ends(points, (u + v)[used], sd, ends))
 
 
-def in_gap(way: Array, share: Array) -> Mask:
-    """Which shares (K,) of the length of a centreline (N, 3) lie where it was not seen."""
+def in_gap(way: Array, hidden: Mask, share: Array) -> Mask:
+    """Which shares (K,) of the length of a centreline (N, 3), some of whose places (N,) are hidden, were not seen."""
     step = np.linalg.norm(np.diff(way, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(step)]) / step.sum()
-    gap = step > _GAP_STEPS * np.median(step)
+    gap = (step > _GAP_STEPS * np.median(step)) | hidden[1:] | hidden[:-1]
     # Clamp and tip are known where the edges beside them are not measured.
     gap[[0, -1]] = False
     return np.asarray(gap[np.clip(np.searchsorted(along, share, side="right") - 1, 0, len(gap) - 1)])

@@ -30,6 +30,9 @@ class Method:
         ``(views, rig, tube) -> Curve3D``; raises `Unmeasurable` where the views do not give a curve.
     see
         The vision strategy: one picture to one `View`; raises `Unmeasurable` where the tube is not seen.
+    whole
+        Whether views of the whole silhouette (`tubesight.methods.whole`) are tried where what `see` gives leads to no
+        curve: it follows shapes that cross themselves or are partly hidden.
     solve_again
         ``(views, rig, tube, family) -> Curve3D``: the same, told of which family the curve was a moment ago (its
         `Curve3D.model`); None for methods to which that means nothing.
@@ -46,6 +49,7 @@ class Method:
     traits: Mapping[str, str]
     solve: Callable[[Mapping[str, View], Rig, Tube], Curve3D]
     see: Vision = see
+    whole: bool = False
     solve_again: Callable[[Mapping[str, View], Rig, Tube, str], Curve3D] | None = None
     given: tuple[str, ...] = ()
     scene: str = "plain"

@@ -40,7 +40,7 @@ _MATCHING_TRAITS: Mapping[str, str] = MappingProxyType(
     }
 )
 
-_SILHOUETTE = silhouette.Silhouette(starter=cone_ray.solve, general=epipolar_dp.solve)
+_SILHOUETTE = silhouette.Silhouette(starter=cone_ray.solve, general=epipolar_dp.start)
 
 METHODS: Mapping[str, Method] = Registry(
     {
@@ -67,6 +67,7 @@ METHODS: Mapping[str, Method] = Registry(
                 }
             ),
             solve=_SILHOUETTE,
+            whole=True,
             solve_again=_SILHOUETTE,
         ),
         "reference": Method(

@@ -1,6 +1,7 @@
 """Ground truth: phantoms, optics and sensor noise, independent of the reconstruction it judges."""
 
 from tubesight.simulate.boards import render_board_pair
+from tubesight.simulate.cover import Cover, cover
 from tubesight.simulate.phantom import (
     Arc,
     CurvaturePolynomial,
@@ -20,6 +21,7 @@ from tubesight.simulate.variants import VARIANTS, Stage, stage
 __all__ = [
     "VARIANTS",
     "Arc",
+    "Cover",
     "CurvaturePolynomial",
     "EllipseArc",
     "Helix",
@@ -29,6 +31,7 @@ __all__ = [
     "Scene",
     "Stage",
     "board_views",
+    "cover",
     "render",
     "render_background",
     "render_board_pair",

@@ -62,8 +62,8 @@ class Backdrop:
     holder: Surface | None
 
 
-def _grain(shape: tuple[int, int], rng: np.random.Generator) -> Plane:
-    """Cloth: noise of unit deviation at three scales (threads, weave, folds)."""
+def grain(shape: tuple[int, int], rng: np.random.Generator) -> Plane:
+    """Cloth (H, W): noise of about unit deviation at three scales (threads, weave, folds)."""
     total = np.zeros(shape, np.float32)
     for sigma, weight in ((0.8, 0.7), (3.0, 0.6), (30.0, 0.3)):
         shrink = 1 if sigma < 10 else 8
@@ -180,7 +180,7 @@ def _drawn(camera: Camera, pose: Pose, scene: Scene, key: tuple[float, ...] | No
     if scene.clutter:
         light = _clutter((height, width), scene.clutter, rng)
     else:
-        light = cloth.astype(np.float32) * (1 + scene.texture * _grain((height, width), rng))[..., None]
+        light = cloth.astype(np.float32) * (1 + scene.texture * grain((height, width), rng))[..., None]
     if scene.grid_mm:
         light *= _grid(camera, pose, scene)[..., None]
     light *= _fall_of_light((height, width), scene, rng)[..., None]

@@ -45,6 +45,9 @@ NEAR_WIDTHS, ROOM_PX, ROOM_FLAT_WIDTHS = 1.5, 2.0, 0.15
 # 26 places.
 SURE_TIP_PX, SURE_CONTOUR = 0.2, 20
 
+# What `walker.measure` tells of a track: edges (N, 2, 2), blur, doubts (2,), and how far outwards the edges lie.
+Measured = tuple[Array, float, Array, float]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
@@ -113,16 +116,36 @@ def see(
         if tube.tip.shape == "open":
             return _open_view(name, run, camera, *follow(run, image, background, signal, track), start.px)
         base = start.px
-        track, (tip, ending, radius) = _with_tip(run, signal, camera, tube, track, start.way)
-        edges, blur, doubt = _measured(run, signal, track)
+        track, found = _with_tip(run, signal, camera, tube, track, start.way)
     else:
         signal, last, forward = _both_ways(run, image, background, resume=tube.tip.shape == "open")
         if tube.tip.shape == "open":
             signal, track = _from_nearer(signal, last, forward, base_px)
             return _open_view(name, run, camera, signal, track, _first_of(run, signal, track))
-        track, (tip, ending, radius) = _to_tip(run, signal, forward, camera, tube, base_px)
+        track, found = _to_tip(run, signal, forward, camera, tube, base_px)
         base = _first_of(run, signal, track)
-        edges, blur, doubt = _measured(run, signal, track)
+    return view_of(name, run, signal, camera, tube, track, found, measured(run, signal, track), base)
+
+
+def view_of(
+    name: str,
+    run: Stages,
+    signal: Signal,
+    camera: Camera,
+    tube: Tube,
+    track: Track,
+    found: tuple[TipView, Ending, float],
+    edges_of: Measured,
+    base: Array,
+) -> View:
+    """View of a tube whose track, tip (`find_tip`), edges (`measured`) and base (2,) are known.
+
+    Raises
+    ------
+    Unmeasurable
+        If too few of its edges lie before its tip.
+    """
+    (tip, ending, radius), (edges, blur, doubt, _) = found, edges_of
     room = ROOM_PX + (radius if tube.tip.shape == "ball" else 0.0)
     if tube.tip.shape == "flat":
         room += ROOM_FLAT_WIDTHS * ending.width_px
@@ -135,7 +158,7 @@ def see(
 
 def _open_view(name: str, run: Stages, camera: Camera, signal: Signal, track: Track, base: Array) -> View:
     """View of a tube whose end is not looked for: its last scan stands for the tip."""
-    edges, blur, doubt = _measured(run, signal, track)
+    edges, blur, doubt, _ = measured(run, signal, track)
     last, heading, _ = last_way(track.middle_px)
     edges, unit, rays, centreline, first, rough = run.tube_rays(camera, edges, heading, last, 0.0, 0.0, base)
     if len(edges) < SCANS_MIN:
@@ -144,12 +167,12 @@ def _open_view(name: str, run: Stages, camera: Camera, signal: Signal, track: Tr
     return View(name, edges, unit, rays, centreline, first, tip, rough, doubt, blur, signal.why, _notes(track))
 
 
-def _measured(run: Stages, signal: Signal, track: Track) -> tuple[Array, float, Array]:
+def measured(run: Stages, signal: Signal, track: Track) -> Measured:
     """Edges, blur and doubts of a track; those of the walk where the tube is too thin to be measured."""
-    edges, blur, doubt, _ = run.measure(signal, track)
+    edges, blur, doubt, outwards = run.measure(signal, track)
     if len(edges) >= SCANS_MIN or float(np.median(track.width_px)) > _THIN_PX:
-        return edges, blur, doubt
-    return walked_edges(track), blur, np.full(2, _WALKED_PX)
+        return edges, blur, doubt, outwards
+    return walked_edges(track), blur, np.full(2, _WALKED_PX), outwards
 
 
 def _notes(track: Track) -> tuple[str, ...]:

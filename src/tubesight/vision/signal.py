@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+import cv2
 import numpy as np
 
 from tubesight.core import Array, Image, readonly
@@ -64,6 +65,7 @@ def sample(image: Image, points_px: Array) -> Array:
 
 
 F = TypeVar("F", float, Array)
+ALL = slice(None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +115,18 @@ class Signal:
 
     def __call__(self, points_px: Array) -> Array:
         """Likeness to tube (...) at points (..., 2); NaN outside the picture."""
-        colour, behind = self.colours(points_px)
+        return self._share(*self.colours(points_px))
+
+    def picture(self, size_px: tuple[int, int], rows: slice = ALL, columns: slice = ALL) -> Array:
+        """Likeness to tube (H, W) of the picture shrunk to a size (W, H), or of a part of that."""
+
+        def light(image: Image) -> Array:
+            small = planes(np.asarray(cv2.resize(image, size_px, interpolation=cv2.INTER_AREA), np.uint8))
+            return LINEAR_LIGHT[small[rows, columns]]
+
+        return self._share(light(self.image), None if self.background is None else light(self.background) * self.gain)
+
+    def _share(self, colour: Array, behind: Array | None) -> Array:
         behind = self.cloth if behind is None else behind
         from_tube = _distance(colour - self.tube, self.tube, SHADING_TUBE)
         from_cloth = _distance(colour - behind, behind, SHADING_CLOTH)
