@@ -89,6 +89,9 @@ class ShapeSensor:
     base_px
         By camera name, where the base is marked by hand: its pixel (2,). Marked in two cameras or more it takes the
         place of the clamp; in one it only tells the two ends of the tube apart.
+    patient
+        Whether a clamped tube that no walk along it measures is looked at once more, as a whole, which takes up to a
+        second.
 
     Examples
     --------
@@ -100,6 +103,7 @@ class ShapeSensor:
     method: str = DEFAULT_METHOD
     backgrounds: Mapping[str, Image] = field(default_factory=dict)
     base_px: Mapping[str, Array] = field(default_factory=dict)
+    patient: bool = True
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -161,9 +165,9 @@ class ShapeSensor:
         Raises
         ------
         Unmeasurable
-            If that does not lead to one either, or the method does without it.
+            If that does not lead to one either, or method or patience do without it.
         """
-        starts = self._starts(pair)
+        starts = self._starts(pair) if self.patient else {}
         if not starts:
             raise Unmeasurable(Status.TUBE_NOT_FOUND)
         signals = signals_of(pair.images, self.backgrounds, starts)

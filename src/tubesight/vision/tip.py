@@ -167,10 +167,8 @@ def ball(
         rough = sweep < len(SWEEPS)
         if rough:
             position = np.full(len(angles), np.nan)
-            some = slice(None, None, ROUGH_EVERY)
-            position[some] = _rough(
-                signal, origins[some], directions[some], expected, sweep, blur_px, outwards_px, careful
-            )
+            lines = origins[::ROUGH_EVERY], directions[::ROUGH_EVERY]
+            position[::ROUGH_EVERY] = _rough(signal, *lines, expected, sweep, blur_px, outwards_px, careful)
         else:
             position, doubt = _fine(signal, origins, directions, radius, blur_px)
             position = position + shrinkage(blur_px, radius)

@@ -121,7 +121,7 @@ class Setup:
 
     def sensor(self) -> ShapeSensor:
         """Return the sensor of this session."""
-        return ShapeSensor(self.rig, self.tube, self.method, self.backgrounds, self.base_px)
+        return ShapeSensor(self.rig, self.tube, self.method, self.backgrounds, self.base_px, patient=False)
 
     def designation(self) -> Designation:
         """Return which device this session follows, as far as that is known before it begins."""

@@ -112,7 +112,7 @@ def sensor_of(recording: Recording) -> ShapeSensor:
         raise InputError(f"{path}: its configuration is damaged ({error}); run `tubesight recover`") from error
     if method not in METHODS:
         raise InputError(f"{path}: was measured with the method {method[:40]!r}, which is not installed")
-    return ShapeSensor(rig, tube, method, backgrounds, base)
+    return ShapeSensor(rig, tube, method, backgrounds, base, patient=False)
 
 
 def _marks(about: Mapping[str, Any]) -> dict[str, Array]:
