@@ -179,3 +179,13 @@ def test_a_black_tube_before_a_bright_wall_in_blurred_pictures(tip: Tip) -> None
     assert result.shape is not None
     # Twice what is asked for of sharp pictures (0.05 mm a coordinate), as a blur of 2 px sigma may cost 0.1 mm.
     assert np.abs(result.shape.tip_mm - phantom.at(np.array([140.0]))[0]).max() < 0.15
+
+
+def test_a_thin_tube_that_leaves_its_clamp_behind_the_clamp_s_rim() -> None:
+    """Cameras from above do not see where it starts: its first piece is as long as three of its widths."""
+    rig, tube = rig_around(60.0, size_px=(1920, 1080), elevation_deg=30.0), Tube(4.0, Tip("ball", 6.0), clamped=True)
+    phantom = Arc(np.radians(40.0), np.radians(200.0), 120.0)
+    result = ShapeSensor(rig, tube, patient=False)(render_pair(rig, phantom, tube))
+    assert result.status is Status.OK, result.notes
+    assert result.shape is not None
+    assert np.abs(result.shape.tip_mm - phantom.at(np.array([120.0]))[0]).max() < TIP_MM

@@ -24,7 +24,7 @@ from tubesight.core import Array, Mask, Status, Tube, Unmeasurable
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import smoothing
-from tubesight.methods.agreement import base_of, reprojection_rms_px
+from tubesight.methods.agreement import base_of, reprojection_rms_px, triangulate_tip
 from tubesight.methods.regions import regions, rough_way
 from tubesight.vision.region import RegionView
 from tubesight.vision.view import View
@@ -63,8 +63,11 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
     Raises
     ------
     Unmeasurable
-        If there are not two views, no voxel is in their silhouettes, or what is left does not project onto the tube.
+        If there are not two views, their tips do not meet, no voxel is in their silhouettes, or what is left does not
+        project onto the tube.
     """
+    # Silhouettes alone tell badly whether the pictures are of one tube.
+    triangulate_tip(views, rig)
     seen = regions(views)
     rough = rough_way(seen, rig, 9)
     diameter = tube.diameter_mm or _measured_diameter(seen, rig, rough)

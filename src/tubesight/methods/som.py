@@ -22,7 +22,7 @@ from tubesight.core import Array, Status, Tube, Unmeasurable
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import smoothing
-from tubesight.methods.agreement import reprojection_rms_px
+from tubesight.methods.agreement import reprojection_rms_px, triangulate_tip
 from tubesight.methods.regions import regions, rough_way
 from tubesight.vision.view import View
 
@@ -55,8 +55,10 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
     Raises
     ------
     Unmeasurable
-        If there are not two views, or the chain ends elsewhere than in the silhouettes.
+        If there are not two views, their tips do not meet, or the chain ends elsewhere than in the silhouettes.
     """
+    # Silhouettes alone tell badly whether the pictures are of one tube.
+    triangulate_tip(views, rig)
     seen = regions(views)
     sights = []
     for name, view in seen.items():
