@@ -189,3 +189,16 @@ def test_a_thin_tube_that_leaves_its_clamp_behind_the_clamp_s_rim() -> None:
     assert result.status is Status.OK, result.notes
     assert result.shape is not None
     assert np.abs(result.shape.tip_mm - phantom.at(np.array([120.0]))[0]).max() < TIP_MM
+
+
+@pytest.mark.parametrize("aside_deg", [0.0, 12.0])
+def test_a_flat_end_that_faces_a_camera(aside_deg: float) -> None:
+    """Its whole face is seen there; its contour is the half away from the tube, which the tangent hardly tells."""
+    rig, tube = rig_around(110.0, size_px=(1280, 720), elevation_deg=10.0), Tube(12.0, Tip("flat"), clamped=True)
+    x, y, _ = rig.centre_mm("left")
+    phantom = Arc(np.radians(105.0), float(np.arctan2(y, x)) + np.radians(aside_deg), 130.0)
+    result = ShapeSensor(rig, tube)(render_pair(rig, phantom, tube))
+    assert result.status is Status.OK, result.notes
+    assert result.shape is not None
+    # Four times what is asked for of easy pictures.
+    assert np.abs(result.shape.tip_mm - phantom.at(np.array([130.0]))[0]).max() < 0.2

@@ -214,11 +214,18 @@ def off_squares(points_mm: Array, camera_from_base: Pose, camera: Camera, view: 
     return float(off @ off)
 
 
+def _facing(view: View) -> Array:
+    """Way (2,) in the picture that a flat end's contour faces: across it, and away from the tube."""
+    chord = view.tip.contour_px[-1] - view.tip.contour_px[0]
+    across = np.array([chord[1], -chord[0]]) / np.linalg.norm(chord)
+    return np.asarray(across if across @ (view.tip.px - view.centreline_px[-1]) >= 0 else -across)
+
+
 def flat_tip(views: Mapping[str, View], rig: Rig, tip_mm: Array, tangent: Array, radius_mm: float) -> Array:
     """Middle (3,) of a flat end face, with the rim that the tangent predicts laid on each view's contour.
 
     Where the face is seen obliquely, its contour is half of the rim's image. The first guess of the tip is moved in
-    each picture, along the tube, by the median distance of the contour from the predicted rim.
+    each picture, in the way that the contour faces, by the median distance of the contour from the predicted rim.
 
     Parameters
     ----------
@@ -231,8 +238,8 @@ def flat_tip(views: Mapping[str, View], rig: Rig, tip_mm: Array, tangent: Array,
     rim = tip_mm + radius_mm * (np.cos(angle) * side + np.sin(angle) * np.cross(tangent, side))
     rays = {}
     for name, view in views.items():
-        px, back = rig.project(name, np.stack([tip_mm, tip_mm - 0.5 * radius_mm * tangent]))
-        heading = (px - back) / np.linalg.norm(px - back)
+        px = rig.project(name, tip_mm)
+        heading = _facing(view)
         left = np.array([heading[1], -heading[0]])
         ring, contour = rig.project(name, rim) - px, view.tip.contour_px - px
         across, ahead = contour @ left, contour @ heading
