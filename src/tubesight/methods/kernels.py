@@ -10,7 +10,6 @@ from tubesight.geometry.families import INTERVALS
 from tubesight.methods.curve_kernels import ChainArrays, NodeArrays, nodes_of
 from tubesight.methods.rays import BIAS_PX, ROWS, Indices, Problem
 from tubesight.methods.solve import (
-    END_SD_MM,
     MODEL_SD_PX,
     NUISANCES,
     RMS_CAP_PX,
@@ -105,9 +104,9 @@ def end_miss(problem: Problem, nodes: NodeArrays, jacobian: Array) -> float:
     points, tangents, d_points = nodes[0], nodes[1], nodes[4]
     miss = 0.0
     for c in range(3):
-        miss += (points[INTERVALS, c] - problem.end_mm[c]) * tangents[INTERVALS, c] / END_SD_MM
+        miss += (points[INTERVALS, c] - problem.end_mm[c]) * tangents[INTERVALS, c] / problem.end_sd_mm
         for q in range(d_points.shape[2]):
-            jacobian[q] += d_points[INTERVALS, c, q] * tangents[INTERVALS, c] / END_SD_MM
+            jacobian[q] += d_points[INTERVALS, c, q] * tangents[INTERVALS, c] / problem.end_sd_mm
     return miss
 
 

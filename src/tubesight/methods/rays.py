@@ -35,6 +35,8 @@ _EDGE_PX = 0.06
 # Edges of a row that are used, evenly spread. The errors of a photograph's edges hang together along the tube: with all
 # 90 of them the errors of tip and angles on 75 photographs with known truth were the same or larger.
 _ROW_MAX, _TIP_MAX = 24, 16
+# How well the end of a curve is known along it, until more is known: the first fit of a flat end, and open ends.
+_END_SD_MM = 0.02
 # End of a curve whose end nobody knows.
 _NOWHERE = sealed(np.full(3, np.nan))
 
@@ -72,8 +74,9 @@ class Problem(NamedTuple):
         Whether `radius_mm` is a guess to be improved.
     clamped
         Whether the start is known or free.
-    end_mm
-        (3,) the middle of a flat end face, or the last point seen of an open end; else NaN.
+    end_mm, end_sd_mm
+        (3,) the middle of a flat end face, or the last point seen of an open end; else NaN; and how well that is known
+        along the tube.
     """
 
     direction: Array
@@ -92,6 +95,7 @@ class Problem(NamedTuple):
     radius_open: bool
     clamped: bool
     end_mm: Array
+    end_sd_mm: float
 
     @property
     def start(self) -> Pose:
@@ -131,6 +135,7 @@ def collect(
         tube.diameter_mm is None,
         tube.clamped,
         _NOWHERE if end_mm is None else sealed(np.array(end_mm)),
+        _END_SD_MM,
     )
 
 

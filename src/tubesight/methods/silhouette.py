@@ -18,7 +18,7 @@ from tubesight.geometry.deviations import Deviations
 from tubesight.geometry.families import BASE
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
-from tubesight.methods.agreement import base_of, flat_tip, triangulate_tip
+from tubesight.methods.agreement import base_of, flat_tip, flat_tip_sd_mm, triangulate_tip
 from tubesight.methods.choice import RMS_MAX_PX, TIP_OFF_PX, AnyShape, choose_family, roughness_px
 from tubesight.methods.fit import Fit, fit_family
 from tubesight.methods.general import frame_along
@@ -91,7 +91,8 @@ class Silhouette:
         if tube.tip.shape == "flat":
             end = chosen.nodes.points[-1], chosen.nodes.tangents[-1]
             tip = flat_tip(views, rig, *end, end_radius or problem.radius_mm)
-            problem = problem._replace(end_mm=sealed(np.array(tip)))
+            sd_mm = flat_tip_sd_mm(views, rig, *end)
+            problem = problem._replace(end_mm=sealed(np.array(tip)), end_sd_mm=sd_mm)
             chosen = fit_family(problem, chosen.family, chosen.parameters)
         if not chosen.rms_px <= _most_px(chosen, problem):
             raise Unmeasurable(Status.RESIDUAL_TOO_LARGE, detail=f"rms {chosen.rms_px:.2f} px")

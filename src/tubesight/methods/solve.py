@@ -18,8 +18,6 @@ from tubesight.methods.rays import BIAS_PX, ROWS, Indices, Problem
 
 # Shifts of a view: of all edges, and two lobes of each row.
 NUISANCES = 1 + 2 * ROWS
-# How well the middle of a flat end face is known along the tube.
-END_SD_MM = 0.02
 # Edges farther off than this many robust deviations carry no weight (Tukey's biweight: 4.7 for 95 % efficiency).
 TUKEY = 4.7
 # No edge counts with more than this in the rms that families are compared by: what crosses the tube is not its shape.
@@ -130,8 +128,8 @@ def end_miss(problem: Problem, nodes: Nodes, size: int) -> tuple[float, Array]:
     if np.isnan(problem.end_mm[0]):
         return 0.0, jacobian
     heading = nodes.tangents[-1]
-    jacobian[: nodes.d_points.shape[2]] = heading @ nodes.d_points[-1] / END_SD_MM
-    return float((nodes.points[-1] - problem.end_mm) @ heading) / END_SD_MM, jacobian
+    jacobian[: nodes.d_points.shape[2]] = heading @ nodes.d_points[-1] / problem.end_sd_mm
+    return float((nodes.points[-1] - problem.end_mm) @ heading) / problem.end_sd_mm, jacobian
 
 
 def weights(problem: Problem, residual: Array) -> Array:
