@@ -18,6 +18,7 @@ from tubesight.vision.chains import chains
 from tubesight.vision.pieces import silhouette_of
 from tubesight.vision.rest import leaves_out
 from tubesight.vision.see import clamp_start
+from tubesight.vision.signal import Signal
 from tubesight.vision.silhouette import choose
 from tubesight.vision.stages import READABLE
 from tubesight.vision.whole import see_whole
@@ -188,3 +189,12 @@ def test_gaps_are_bridged_by_the_arc_that_both_sides_continue() -> None:
     # Half of the gap's angle away from the circle's tangents' feet: radius / cos.
     half = (angle[42] - angle[24]) / 2
     np.testing.assert_allclose(np.linalg.norm(turned[at, :2], axis=1), 1 / np.cos(half), atol=3e-2)
+
+
+@pytest.mark.parametrize("width_px", [5.0, 40.0])
+def test_pictures_of_texture_have_few_pieces(width_px: float) -> None:
+    """Noise and a picture that is tube everywhere: neither holds up whoever puts the pieces in order."""
+    noise = np.random.default_rng(0).integers(0, 256, (540, 960, 3)).astype(np.uint8)
+    for picture in (noise, np.full_like(noise, 200)):
+        signal = Signal(picture, np.full(3, 0.6), np.full(3, 0.05), None, np.ones(3), "test")
+        assert len(silhouette_of(signal, width_px).pieces) <= 24

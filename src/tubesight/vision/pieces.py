@@ -31,6 +31,8 @@ _CLOSING = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 _SHORTEST = 0.8
 # Ends of pieces are cut by this much (widths): there the middle line bends towards what it meets.
 _CUT = 0.3
+# A picture with a longer middle line (pixels of it) shows no tube but texture; of more pieces the longest are kept.
+_LINE_MOST, _PIECES_MOST = 20_000, 24
 # Neighbours of a pixel, round it (rows, columns).
 _ROUND = ((-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1))
 
@@ -66,10 +68,14 @@ def silhouette_of(signal: Signal, width_px: float) -> Silhouette:
     rows, columns = _around(signal, size)
     mask = (np.nan_to_num(signal.picture(size, rows, columns)) > _TUBE).astype(np.uint8)
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _CLOSING), np.uint8)
+    # What fills the picture ends at its border.
+    mask[[0, -1]] = mask[:, [0, -1]] = 0
     line = cv2.ximgproc.thinning(255 * mask) > 0
     across = 2 * cv2.distanceTransform(mask, cv2.DIST_L2, 5) * pixel / width_px
     clean = line & (across > _ONE_TUBE[0]) & (across < _ONE_TUBE[1])
     clean &= cv2.dilate(_forks(line).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
+    if np.count_nonzero(clean) > _LINE_MOST:
+        clean[:] = False
     scale = np.array([width, height]) / size
     corner = np.array([columns.start, rows.start]) * scale
     pieces = []
@@ -80,7 +86,8 @@ def silhouette_of(signal: Signal, width_px: float) -> Silhouette:
             if len(inner) >= fewest:
                 half = across[inner[:, 1], inner[:, 0]] * width_px / 2
                 pieces.append(Piece(_smooth(corner + (inner + 0.5) * scale - 0.5), half))
-    return Silhouette(mask > 0, corner, scale, tuple(pieces))
+    pieces.sort(key=lambda piece: -len(piece.half_px))
+    return Silhouette(mask > 0, corner, scale, tuple(pieces[:_PIECES_MOST]))
 
 
 def _around(signal: Signal, size: tuple[int, int]) -> tuple[slice, slice]:
