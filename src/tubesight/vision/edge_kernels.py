@@ -282,12 +282,22 @@ def measure_edges(
 
 
 @part
-def displacement(colour: Array, behind: Array, low: float, step: float, gray: bool) -> float:
-    """Twin of `edges.displacement`."""
+def blur_and_displacement(
+    colour: Array, behind: Array, low: float, step: float, depth: float, gray: bool
+) -> tuple[float, float]:
+    """Twin of `edges.blur_and_displacement`."""
     rows = len(colour) // 3
-    places, found, share = np.empty(rows), np.int64(0), np.empty((rows, colour.shape[1]))
+    share = np.empty((rows, colour.shape[1]))
     tube, cloth = both_sides(colour, low, step, np.zeros(rows), edges.SIGMA_FIRST_PX, gray)
     local_share(colour, behind, tube, cloth, 1.0, gray, share)
+    return blur_of(share, low, step, depth), displacement(share, low, step)
+
+
+@part
+def displacement(share: Array, low: float, step: float) -> float:
+    """Twin of `edges._displacement`."""
+    rows = len(share)
+    places, found = np.empty(rows), np.int64(0)
     for n in range(rows):
         high = mean_between(share, n, low, step, -edges.NEAR_PX[1], -edges.NEAR_PX[0])
         level = (high + mean_between(share, n, low, step, edges.BEYOND_PX[0], edges.BEYOND_PX[1])) / 2
@@ -299,12 +309,10 @@ def displacement(colour: Array, behind: Array, low: float, step: float, gray: bo
 
 
 @part
-def blur_of(colour: Array, behind: Array, low: float, step: float, depth: float, gray: bool) -> float:
-    """Twin of `edges.blur_of` where all guesses are 0."""
-    rows = len(colour) // 3
-    sigmas, found, share = np.empty(rows), np.int64(0), np.empty((rows, colour.shape[1]))
-    tube, cloth = both_sides(colour, low, step, np.zeros(rows), edges.SIGMA_FIRST_PX, gray)
-    local_share(colour, behind, tube, cloth, 1.0, gray, share)
+def blur_of(share: Array, low: float, step: float, depth: float) -> float:
+    """Twin of `edges._blur`."""
+    rows = len(share)
+    sigmas, found = np.empty(rows), np.int64(0)
     far = min(edges.FAR_PX, edges.FAR_SHARE * depth)
     for n in range(rows):
         fall = mean_between(share, n, low, step, -far - 1.0, -far)

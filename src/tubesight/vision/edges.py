@@ -103,7 +103,7 @@ def window(blur_px: float, depth_px: float = np.inf) -> Array:
 
 
 def wide_window() -> Array:
-    """Distances (L,) from a guess at which an edge of unknown blur is sampled (`blur_of`)."""
+    """Distances (L,) from a guess at which an edge of unknown blur is sampled (`blur_and_displacement`)."""
     reach = FAR_PX + 1.0
     return np.asarray(-reach + SPACING_PX * np.arange(int(2 * reach / SPACING_PX) + 2.0))
 
@@ -165,7 +165,7 @@ def measure_edges(lines: Profiles, guess_px: Array, blur_px: float) -> Edges:
     guess_px
         (N,) first guess of the edges; NaN where there is none.
     blur_px
-        Width of the picture's edges (`blur_of`).
+        Width of the picture's edges (`blur_and_displacement`).
     """
     sides = both_sides(lines, guess_px, blur_px)
     gray = lines.colour.shape[-1] != 3
@@ -206,32 +206,35 @@ def _scatter(edges: Edges) -> float:
     return float(np.median(np.abs(np.diff(edges.position_px[found], 2))) + (~found).mean())
 
 
-def blur_of(lines: Profiles, guess_px: Array) -> float:
-    """Width of the edges as the sigma of a Gaussian: ``fall / (sqrt(2 pi) steepest slope)``, median over the lines.
+def blur_and_displacement(lines: Profiles) -> tuple[float, float]:
+    """Width of a row of edges, and how far outwards of where its lines begin it lies; both medians over the lines.
 
-    Shading inside adds to the fall: of two sides the one with the smaller value tells the picture's blur.
+    The width is the sigma of a Gaussian, ``fall / (sqrt(2 pi) steepest slope)``. Shading inside adds to the fall: of
+    two sides the one with the smaller value tells the picture's blur. The displacement is 0 where the edges are not
+    seen on most lines; it is for guesses by the likeness to tube, which calls the blurred rim of a dark tube a shadow
+    on what is behind it.
     """
-    share = local_share(lines, *both_sides(lines, guess_px, SIGMA_FIRST_PX), 1.0)
+    share = local_share(lines, *both_sides(lines, np.zeros(len(lines.colour)), SIGMA_FIRST_PX), 1.0)
+    return _blur(share, lines), _displacement(share, lines.along)
+
+
+def _blur(share: Array, lines: Profiles) -> float:
+    start = np.zeros(len(share))
     far = min(FAR_PX, FAR_SHARE * lines.depth_px)
-    fall = _mean_between(share, lines.along, guess_px - far - 1.0, guess_px - far)
-    fall = fall - _mean_between(share, lines.along, guess_px + far, guess_px + far + 1.0)
-    near = interpolate(share, lines.along, guess_px[:, None] + np.arange(-2.5, 2.6, 0.5))
+    fall = _mean_between(share, lines.along, start - far - 1.0, start - far)
+    fall = fall - _mean_between(share, lines.along, start + far, start + far + 1.0)
+    near = interpolate(share, lines.along, start[:, None] + np.arange(-2.5, 2.6, 0.5))
     with np.errstate(invalid="ignore", divide="ignore"):
         sigma = fall / (np.sqrt(2 * np.pi) * (near[:, :-2] - near[:, 2:]).max(1))
     sigma = sigma[np.isfinite(sigma) & (sigma > 0)]
     return float(np.clip(np.median(sigma), *SIGMA_RANGE_PX)) if len(sigma) else SIGMA_FIRST_PX
 
 
-def displacement(lines: Profiles) -> float:
-    """Median distance outwards of a row of edges from where its lines begin; 0 where they are not seen on most lines.
-
-    For guesses by the likeness to tube, which calls the blurred rim of a dark tube a shadow on what is behind it.
-    """
-    start = np.zeros(len(lines.colour))
-    share = local_share(lines, *both_sides(lines, start, SIGMA_FIRST_PX), 1.0)
-    high = _mean_between(share, lines.along, start - NEAR_PX[1], start - NEAR_PX[0])
-    low = _mean_between(share, lines.along, start + BEYOND_PX[0], start + BEYOND_PX[1])
-    found = _crossing(share, lines.along, start, BEYOND_PX[0], (high + low) / 2)
+def _displacement(share: Array, along: Array) -> float:
+    start = np.zeros(len(share))
+    high = _mean_between(share, along, start - NEAR_PX[1], start - NEAR_PX[0])
+    low = _mean_between(share, along, start + BEYOND_PX[0], start + BEYOND_PX[1])
+    found = _crossing(share, along, start, BEYOND_PX[0], (high + low) / 2)
     found = found[np.isfinite(found)]
     return float(np.median(found)) if 2 * len(found) > len(start) else 0.0
 

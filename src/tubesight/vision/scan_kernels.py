@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tubesight.core import Array, Mask
 from tubesight.core.kernels import part
 from tubesight.vision import edges, walker
-from tubesight.vision.edge_kernels import blur_of, colour_profiles, displacement, measure_edges, running_median, window
+from tubesight.vision.edge_kernels import blur_and_displacement, colour_profiles, measure_edges, running_median, window
 from tubesight.vision.line_kernels import Picture
 from tubesight.vision.math_kernels import Count, length, median
 from tubesight.vision.pairs import DROP_MIN
@@ -103,9 +103,8 @@ def measure(picture: Picture, middles: Array, widths: Array) -> tuple[Array, flo
         put(middle, ways, sides, origin)
         for side in range(2):
             lines = colour_profiles(picture, origin[side], ways[side], every, low, step, count, edges.LINE_PX)
-            if again == 0:
-                off[side] = displacement(lines[0], lines[1], low, step, gray)
-            blur = min(blur, blur_of(lines[0], lines[1], low, step, depth, gray))
+            sigma, off[side] = blur_and_displacement(lines[0], lines[1], low, step, depth, gray)
+            blur = min(blur, sigma)
         if again > 0 or not (off[0] + off[1]) / 2 > walker.WALK_OFF_PX:
             break
         outwards, blur = (off[0] + off[1]) / 2, np.inf

@@ -10,9 +10,8 @@ from tubesight.core import Array, Mask
 from tubesight.vision.edges import (
     SIGMA_FIRST_PX,
     Profiles,
-    blur_of,
+    blur_and_displacement,
     colour_profiles,
-    displacement,
     left_of,
     measure_edges,
     wide_window,
@@ -154,14 +153,13 @@ def measure(signal: Signal, track: Track) -> tuple[Array, float, Array, float]:
         origin = middle[::every, None] + normal[::every] * sides[::every, :, None]
         return [colour_profiles(signal, origin[:, k], normal[::every, k], along, depth) for k in range(2)]
 
-    wide = lines(wide_window(), BLUR_EVERY)
-    off = np.array([displacement(side) for side in wide])
+    blurs, off = np.array([blur_and_displacement(side) for side in lines(wide_window(), BLUR_EVERY)]).T
     if off.mean() > WALK_OFF_PX:
         sides = sides + off
-        wide = lines(wide_window(), BLUR_EVERY)
+        blurs = np.array([blur_and_displacement(side)[0] for side in lines(wide_window(), BLUR_EVERY)])
     else:
-        off[:] = 0.0
-    blur = min(blur_of(side, np.zeros(len(side.colour))) for side in wide)
+        off = np.zeros(2)
+    blur = float(blurs.min())
     found = [measure_edges(side, np.zeros(len(half)), blur) for side in lines(window(blur, depth))]
     offset = sides + np.stack([e.position_px for e in found], 1)
     edges = middle[:, None] + normal * offset[..., None]
