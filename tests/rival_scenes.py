@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from tubesight.core import FramePair, Tip, Tube
-from tubesight.geometry.cone import place_along
+from tubesight.geometry.polyline import place_along
 from tubesight.geometry.rig import Rig
 from tubesight.methods import METHODS
 from tubesight.sensor import Reconstruction, ShapeSensor

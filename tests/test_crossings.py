@@ -10,7 +10,7 @@ from tubesight.apps.evaluate import distance_to_polyline
 from tubesight.core import Array, FramePair, Status, Tip, Tube
 from tubesight.geometry.curve import Curve3D, NodeCurve
 from tubesight.geometry.deviations import Deviations
-from tubesight.methods.agreement import way_and_gaps
+from tubesight.methods.centreline import way_and_gaps
 from tubesight.sensor import ShapeSensor
 from tubesight.simulate import Arc, Cover, Helix, Phantom, Pieces, cover, render_pair, rig_around
 from tubesight.vision import whole

@@ -20,13 +20,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from geometry_scenes import LENGTH_MM, Array, Sight, few, looking, poses, rigs, seeds, sight, tubes
-from tubesight.geometry.cone import (
-    Cone,
-    Hits,
-    epipolar_crossing,
-    place_along,
-)
+from tubesight.geometry.cone import Cone, Hits, epipolar_crossing
 from tubesight.geometry.conic import Conic, fit_line, fit_taubin
+from tubesight.geometry.polyline import place_along
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.simulate import Arc, EllipseArc, rig_around

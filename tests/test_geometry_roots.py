@@ -6,14 +6,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from geometry_scenes import LENGTH_MM, Array, Sight, few, rigs, seeds, sight, tubes
-from tubesight.geometry.cone import (
-    Cone,
-    Hits,
-    nearest_depth,
-    ordered_depths,
-    place_along,
-)
+from tubesight.geometry.cone import Cone, Hits, nearest_depth, ordered_depths
 from tubesight.geometry.conic import fit_taubin
+from tubesight.geometry.polyline import place_along
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.simulate import Arc, rig_around

@@ -15,8 +15,8 @@ from tubesight.core import InputError, Status, Tip, Tube, Unmeasurable
 from tubesight.files.rig import load_rig
 from tubesight.files.tables import read_curves, read_shapes
 from tubesight.files.tube import load_tube
-from tubesight.geometry.cone import place_along
 from tubesight.geometry.families import Nodes
+from tubesight.geometry.polyline import place_along
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.methods import METHODS

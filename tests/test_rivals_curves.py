@@ -20,7 +20,7 @@ from rival_scenes import (
     photograph,
 )
 from tubesight.core import FramePair, Status, Tube
-from tubesight.geometry.cone import place_along
+from tubesight.geometry.polyline import place_along
 from tubesight.geometry.rig import Rig
 from tubesight.methods import METHODS, affine_shape, carving, nurbs, symmetric
 from tubesight.methods.epipolar import depth_per_px

@@ -16,6 +16,7 @@ from tubesight.geometry.rig import Rig
 from tubesight.geometry.shape import Shape, shape_of
 from tubesight.methods import METHODS
 from tubesight.methods.agreement import reprojection_rms_px
+from tubesight.methods.choice import PLANE
 from tubesight.methods.common_end import to_common_end
 from tubesight.methods.mark import from_mark, marked_width_px
 from tubesight.methods.rays import optics
@@ -29,8 +30,6 @@ DEFAULT_METHOD = "silhouette"
 # Standard deviation of a triangulated tip across the tube's axis on a photograph, px: with three of it the azimuth of a
 # straight tube is noise.
 _TIP_SD_PX = 0.15
-# Curves of these families have no loop to be left out.
-_SIMPLE = ("circle", "ellipse")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +187,7 @@ class ShapeSensor:
 
     def _believe(self, pair: FramePair, views: Mapping[str, View], curve: Curve3D) -> None:
         """Refuse a curve of many bends that leaves out a part of the tube; others have no loop to be left out."""
-        if curve.model not in _SIMPLE and (starts := self._starts(pair)):
+        if curve.model not in PLANE and (starts := self._starts(pair)):
 
             def signal(name: str) -> Signal:
                 return signals_of({name: pair.images[name]}, self.backgrounds, starts)[name][0]

@@ -1,6 +1,6 @@
 """The nouns everything shares; no logic."""
 
-from tubesight.core.arrays import Array, Image, Mask, readonly, sealed
+from tubesight.core.arrays import Array, Image, Indices, Mask, readonly, sealed
 from tubesight.core.board import Board
 from tubesight.core.errors import InputError
 from tubesight.core.frames import Frame, FramePair
@@ -13,6 +13,7 @@ __all__ = [
     "Frame",
     "FramePair",
     "Image",
+    "Indices",
     "InputError",
     "Mask",
     "Status",

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Image = NDArray[np.uint8]
+Indices = NDArray[np.int64]
 
 _FLOAT = np.dtype(np.float64)
 

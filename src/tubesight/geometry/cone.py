@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tubesight.core import Array, Mask
+from tubesight.core import Array, Indices, Mask
 from tubesight.geometry.conic import Conic
+from tubesight.geometry.polyline import place_along
 from tubesight.geometry.pose import Pose
 
 # A discriminant this small against the sizes it is summed from is a tangent ray: exact double roots come out below
@@ -17,9 +18,6 @@ _TANGENT = 1e-12
 # run forwards, and no more. Poses with a root chosen 2 mm off or more, 0.1 px of noise, random rigs, a fourth of the
 # tubes at 90 degrees: 2.1 % at 1e-3, 3.9 % at 1e-6; from 1e-2 on exact data swap roots that nearly coincide.
 _EVENNESS = 1e-3
-
-
-Indices = np.ndarray[tuple[int], np.dtype[np.intp]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,41 +181,6 @@ def _cheapest_chain(node: Array, place: Array, rays_apart: Indices) -> Indices:
     for k in range(len(node) - 1, 1, -1):
         chain[k - 2] = before[k, chain[k - 1], chain[k]]
     return chain
-
-
-def place_along(arc_xy: Array, xy: Array) -> tuple[Array, Array]:
-    """Nearest place of points on a polyline.
-
-    Parameters
-    ----------
-    arc_xy
-        (M, 2) polyline, M >= 2; neighbouring points may coincide.
-    xy
-        (N, 2) points; rows of NaN give NaN.
-
-    Returns
-    -------
-    place, off
-        (N,) arc length along the polyline, extended in a straight line past both ends, and (N,) distance from it, past
-        the ends the distance to the end point.
-    """
-    start, step = arc_xy[:-1], np.diff(arc_xy, axis=0)
-    length = np.linalg.norm(step, axis=1)
-    unit = np.divide(step, length[:, None], out=np.zeros_like(step), where=length[:, None] > 0)
-    along = np.concatenate([[0.0], np.cumsum(length)])
-    offset = xy[:, None, :] - start[None]
-    t = np.einsum("nmk,mk->nm", offset, unit)
-    inside = np.clip(t, 0.0, length)
-    distance = np.linalg.norm(offset - inside[..., None] * unit, axis=-1)
-    distance = np.where(np.isfinite(distance), distance, np.inf)
-    best = distance.argmin(1)
-    rows = np.arange(len(xy))
-    before = (best == 0) & (t[rows, best] < 0)
-    after = (best == len(step) - 1) & (t[rows, best] > length[best])
-    place = along[best] + np.where(before | after, t[rows, best], inside[rows, best])
-    off = distance[rows, best]
-    missing = ~np.isfinite(off)
-    return np.where(missing, np.nan, place), np.where(missing, np.nan, off)
 
 
 def epipolar_crossing(arc_xy: Array, epipole: Array) -> float:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tubesight.core import Array
+from tubesight.core import Array, Indices
 from tubesight.core.kernels import COMPILED
-
-Indices = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 
 
 def monotone_way(cost: Array, skip: float) -> Indices:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tubesight.core import Array
+from tubesight.core import Array, Indices
 from tubesight.core.kernels import compiled
-from tubesight.geometry.matching import Indices
 
 
 @compiled

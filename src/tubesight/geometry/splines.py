@@ -10,6 +10,7 @@ from scipy.interpolate import BSpline, CubicSpline, splprep
 
 from tubesight.core import Array
 from tubesight.geometry.curve import NodeCurve
+from tubesight.geometry.polyline import lengths_along
 
 # Nodes of a curve: at 49 of them a cubic Hermite piece of a tube that turns by 360 degrees is 1e-6 of its length off.
 _NODES = 97
@@ -26,7 +27,7 @@ def by_arc_length(model: str, at: Callable[[Array], Array], velocity: Callable[[
         Points (N, 3) and their derivatives (N, 3) at parameters (N,); the derivative must not vanish.
     """
     u = np.linspace(0.0, 1.0, _STEPS)
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(at(u), axis=0), axis=1))])
+    s = lengths_along(at(u))
     places = np.linspace(0.0, s[-1], _NODES)
     nodes = np.interp(places, s, u)
     tangent = velocity(nodes)
@@ -35,7 +36,7 @@ def by_arc_length(model: str, at: Callable[[Array], Array], velocity: Callable[[
 
 def interpolating(points_mm: Array) -> NodeCurve:
     """Cubic spline (not a knot) through points (N, 3), N > 1, by chord length; no two neighbours may coincide."""
-    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points_mm, axis=0), axis=1))])
+    chord = lengths_along(points_mm)
     spline = CubicSpline(chord / chord[-1], points_mm)
     return by_arc_length("spline", spline, spline.derivative())
 

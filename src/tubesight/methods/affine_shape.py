@@ -25,7 +25,8 @@ from tubesight.core import Array, Status, Tube, Unmeasurable
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import smoothing
-from tubesight.methods.agreement import reprojection_rms_px, resampled, way_of
+from tubesight.methods.agreement import reprojection_rms_px
+from tubesight.methods.centreline import resampled, way_of
 from tubesight.vision.view import View
 
 # Two pictures match in any way that maps ends to ends: the third one decides.

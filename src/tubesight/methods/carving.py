@@ -22,6 +22,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from tubesight.core import Array, Mask, Status, Tube, Unmeasurable
 from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.polyline import lengths_along
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import smoothing
 from tubesight.methods.agreement import base_of, reprojection_rms_px, triangulate_tip
@@ -225,7 +226,7 @@ def _joined(base: Array | None, way: Array, tip: Array, voxel_mm: float, end_mm:
     diameter = voxel_mm * _VOXELS
     away = (np.linalg.norm(way - start, axis=1) > _START * diameter) & (np.linalg.norm(way - tip, axis=1) > end_mm)
     nodes = np.vstack([start, way[away], tip])
-    place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
+    place = lengths_along(nodes)
     if len(nodes) < _STEPS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, detail=f"{len(nodes)} steps along the hull")
     return smoothing(nodes, place, np.full(len(nodes), _SD_VOXELS * voxel_mm))

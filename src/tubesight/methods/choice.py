@@ -36,7 +36,7 @@ _GOOD_PX = 0.25
 # A good plane quadratic curve that leaves more than this many deviations of the edges is challenged by two bends, and
 # kept unless they leave less than its rms divided by `_PLANE_WITHIN`. On 73 of 76 photographs the right family leaves
 # 0.4 to 1.9 of them; two bends the same way that an ellipse fits to 0.2 px leave 2.7.
-_NOISE_SD, _PLANE, _PLANE_WITHIN = 2.0, ("circle", "ellipse"), 2.0
+_NOISE_SD, PLANE, _PLANE_WITHIN = 2.0, ("circle", "ellipse"), 2.0
 # A tube whose centreline bends more sharply than this share of its radius' inverse kinks.
 _SHARPEST = 0.7
 # A circle is challenged only where a few steps of a polynomial lower its rms by this factor: `SIMPLEST_WITHIN` is
@@ -159,7 +159,7 @@ def _eased(name: str, family: str) -> float:
 
 def _explains(fit: Fit, best_px: float, family: str) -> bool:
     """Whether a fit leaves no more than systematic errors of the edges may make of the best one."""
-    good_plane = fit.family.name in _PLANE and fit.rms_px <= _GOOD_PX
+    good_plane = fit.family.name in PLANE and fit.rms_px <= _GOOD_PX
     within = _PLANE_WITHIN if good_plane else SIMPLEST_WITHIN
     return fit.rms_px <= max(_eased(fit.family.name, family) * max(within * best_px, _RMS_FLOOR_PX), best_px)
 
@@ -225,8 +225,8 @@ def _fit_splines(problem: Problem, smooth: Fit, any_shape: AnyShape) -> tuple[Pr
 
 def _why(chosen: Fit, fits: Mapping[str, Fit]) -> str:
     """Say why a shape is none of those with one bend."""
-    simple = [fits[name].rms_px for name in _PLANE if name in fits]
-    if chosen.family.name in _PLANE:
+    simple = [fits[name].rms_px for name in PLANE if name in fits]
+    if chosen.family.name in PLANE:
         return ""
     return (
         f"{chosen.family.name}: {chosen.rms_px:.2f} px off the edges, the best circle or ellipse {min(simple):.2f} px"

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tubesight.core import Array, Status, Unmeasurable
+from tubesight.geometry.polyline import lengths_along, points_at
 from tubesight.geometry.rig import Rig
 from tubesight.vision.locate import open_tip
 from tubesight.vision.view import View
@@ -78,14 +79,9 @@ def _place_of_end(view: View, other: View, rig: Rig) -> float:
 
 def _evenly(view: View) -> tuple[Array, Array]:
     """Rays (K, 3) of a centreline, evenly spread, and their places (K,) along it in px."""
-    chord = _chord(view)
+    chord = lengths_along(view.centreline_px)
     along = np.linspace(0.0, chord[-1], _PLACES)
-    return np.stack([np.interp(along, chord, view.rays[:, k]) for k in range(3)], 1), along
-
-
-def _chord(view: View) -> Array:
-    steps = np.linalg.norm(np.diff(view.centreline_px, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    return points_at(view.rays, chord, along), along
 
 
 def epipolar_miss_px(rays: Array, other_rays: Array, rig: Rig, camera: str, other: str) -> Array:
@@ -135,9 +131,9 @@ def _in_order(cost: Array) -> tuple[tuple[int, int], float]:
 
 def _until(view: View, place_px: float, rig: Rig) -> View:
     """Leave out what a view shows after a place along its centreline, which becomes its tip."""
-    chord = _chord(view)
+    chord = lengths_along(view.centreline_px)
     keep = chord <= place_px
     if keep.sum() < _SCANS_MIN:
         raise Unmeasurable(Status.TOO_FEW_POINTS, view.camera, "little of the tube is seen by all cameras")
-    ray = np.array([np.interp(place_px, chord, view.rays[:, k]) for k in range(3)])
+    ray = points_at(view.rays, chord, np.array(place_px))
     return view.scans(keep, tip=open_tip(ray, rig.cameras[view.camera].project(ray)))

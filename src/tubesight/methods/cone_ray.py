@@ -14,9 +14,10 @@ import numpy as np
 
 from tubesight.core import Array, Status, Tube, Unmeasurable
 from tubesight.geometry.arcs import clamped_arc, clamped_ellipse, free_arc, free_ellipse, free_line
-from tubesight.geometry.cone import Cone, epipolar_crossing, ordered_depths, place_along
+from tubesight.geometry.cone import Cone, epipolar_crossing, ordered_depths
 from tubesight.geometry.conic import CONIC_FITS, Conic
 from tubesight.geometry.curve import Arc, Curve3D
+from tubesight.geometry.polyline import lengths_along, place_along
 from tubesight.geometry.rig import Rig
 from tubesight.methods.agreement import base_of, best_pair, reprojection_rms_px, triangulate_tip
 from tubesight.vision.view import View
@@ -115,7 +116,7 @@ def _extend(arc: Array, length: float) -> Array:
 
 
 def _crossing_weights(arc: Array, place: Array, epipole: Array) -> Array:
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(arc, axis=0), axis=1))])
+    along = lengths_along(arc)
     tangent = np.gradient(arc, along, axis=0)
     towards = epipole[:2] - epipole[2] * arc
     sine = np.abs(tangent[:, 0] * towards[:, 1] - tangent[:, 1] * towards[:, 0])

@@ -12,11 +12,13 @@ import numpy as np
 
 from tubesight.core import Array, Status, Tube, Unmeasurable
 from tubesight.geometry.arcs import free_arc, free_ellipse, free_line
-from tubesight.geometry.cone import Cone, nearest_depth, place_along
+from tubesight.geometry.cone import Cone, nearest_depth
 from tubesight.geometry.conic import fit_halir_flusser
 from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.polyline import place_along
 from tubesight.geometry.rig import Rig
-from tubesight.methods.agreement import reprojection_rms_px, way_of
+from tubesight.methods.agreement import reprojection_rms_px
+from tubesight.methods.centreline import way_of
 from tubesight.vision.view import View
 
 # Sagitta of the centreline in every view, pixels, below which the tube is straight: points found on whole pixels

@@ -23,7 +23,8 @@ from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.shape import angle_between
 from tubesight.geometry.splines import by_arc_length
-from tubesight.methods.agreement import reprojection_rms_px, resampled, way_of
+from tubesight.methods.agreement import reprojection_rms_px
+from tubesight.methods.centreline import resampled, way_of
 from tubesight.vision.view import View
 
 # Places of each skeleton: 1.3 mm apart on a tube of 160 mm.

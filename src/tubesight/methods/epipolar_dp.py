@@ -18,12 +18,13 @@ from itertools import product
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from tubesight.core import Array, Mask, Status, Tube, Unmeasurable
+from tubesight.core import Array, Indices, Mask, Status, Tube, Unmeasurable
 from tubesight.geometry.curve import Curve3D
-from tubesight.geometry.matching import Indices, monotone_way
+from tubesight.geometry.matching import monotone_way
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import smoothing
-from tubesight.methods.agreement import best_pair, reprojection_rms_px, resampled, triangulate_tip, way_and_gaps
+from tubesight.methods.agreement import best_pair, reprojection_rms_px, triangulate_tip
+from tubesight.methods.centreline import resampled, way_and_gaps
 from tubesight.vision.view import View
 
 # Places of each centreline: 1.3 mm apart on a tube of 160 mm; matches are found between them.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tubesight.core import Array
+from tubesight.core import Array, Indices
 from tubesight.core.kernels import part
 from tubesight.geometry.families import INTERVALS
 from tubesight.methods.curve_kernels import ChainArrays, NodeArrays, nodes_of
-from tubesight.methods.rays import BIAS_PX, ROWS, Indices, Problem
+from tubesight.methods.rays import BIAS_PX, ROWS, Problem
 from tubesight.methods.solve import (
     MODEL_SD_PX,
     NUISANCES,

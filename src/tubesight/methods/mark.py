@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from tubesight.core import Array, Status, Tube, Unmeasurable
-from tubesight.geometry.cone import place_along
+from tubesight.geometry.polyline import lengths_along, place_along, points_at
 from tubesight.geometry.rig import Rig
 from tubesight.vision.view import View
 
@@ -59,7 +59,7 @@ def marked_width_px(name: str, rig: Rig, tube: Tube, marks_px: Mapping[str, Arra
 def _cut(view: View, base_px: Array, rig: Rig) -> View:
     """Leave out what a view shows before the foot of the base on its centreline."""
     place, off = place_along(view.centreline_px, base_px[None])
-    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(view.centreline_px, axis=0), axis=1))])
+    chord = lengths_along(view.centreline_px)
     width = float(np.median(view.widths_px))
     if not (np.isfinite(base_px).all() and (off[0] <= _BESIDE_WIDTHS * width or place[0] < 0)):
         raise Unmeasurable(Status.BASE_HIDDEN, view.camera, f"the mark is {off[0]:.0f} px beside the tube")
@@ -68,5 +68,5 @@ def _cut(view: View, base_px: Array, rig: Rig) -> View:
         raise Unmeasurable(Status.TOO_FEW_POINTS, view.camera, "the mark is at the tip; does it mark the base?")
     foot = base_px
     if 0 <= place[0] <= chord[-1]:
-        foot = np.array([np.interp(place[0], chord, view.centreline_px[:, k]) for k in (0, 1)])
+        foot = points_at(view.centreline_px, chord, place[0])
     return view.scans(keep, base=rig.cameras[view.camera].unproject(foot))

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tubesight.core import Array
+from tubesight.core import Array, Indices
 from tubesight.core.kernels import compiled, part
-
-Indices = np.ndarray[tuple[int], np.dtype[np.int64]]
 
 # Steps of Newton's method, and residual on the image plane at which it ends, as in `tubesight.geometry.lens`.
 _STEPS, _TOLERANCE = 20, 1e-14

@@ -9,15 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tubesight.core import Array, Status, Tube, Unmeasurable, sealed
+from tubesight.core import Array, Indices, Status, Tube, Unmeasurable, sealed
 from tubesight.core.kernels import COMPILED
 from tubesight.geometry.camera import Camera
 from tubesight.geometry.pose import Pose
 from tubesight.geometry.rig import Rig
 from tubesight.methods import ray_kernels
 from tubesight.vision.view import View
-
-Indices = np.ndarray[tuple[int], np.dtype[np.int64]]
 
 # Rows of edges of a view: left, right, tip.
 ROWS = 3
@@ -216,7 +214,7 @@ def optics(rig: Rig, names: tuple[str, ...]) -> Optics:
     """Gather the optics of the cameras of some views."""
     poses = [rig.camera_from_base[name] for name in names]
     return Optics(
-        np.stack([centre_of(pose) for pose in poses]),
+        np.stack([rig.centre_mm(name) for name in names]),
         np.array([rig.cameras[name].focal_px for name in names]),
         np.stack([pose.rotation for pose in poses]),
         np.stack([pose.translation_mm for pose in poses]),
@@ -226,11 +224,6 @@ def optics(rig: Rig, names: tuple[str, ...]) -> Optics:
 def tip_axes(views: Mapping[str, View], rotation: Array) -> Array:
     """Directions (V, 3) of the tips' axes in the base frame; rotations (V, 3, 3) are ``camera_from_base``."""
     return np.array([view.tip.axis @ turn for view, turn in zip(views.values(), rotation, strict=True)])
-
-
-def centre_of(camera_from_base: Pose) -> Array:
-    """Centre of projection (3,) in the base frame."""
-    return np.asarray(-camera_from_base.translation_mm @ camera_from_base.rotation)
 
 
 def unprojected(camera: Camera, pixels: Array) -> Array:

@@ -8,7 +8,8 @@ import numpy as np
 
 from tubesight.core import Array, Status, Unmeasurable
 from tubesight.geometry.rig import Rig
-from tubesight.methods.agreement import best_pair, resampled, way_of
+from tubesight.methods.agreement import best_pair
+from tubesight.methods.centreline import resampled, way_of
 from tubesight.vision.region import RegionView
 from tubesight.vision.view import View
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tubesight.core import Array
+from tubesight.core import Array, Indices
 from tubesight.geometry.families import BASE, INTERVALS, Family, Nodes, nodes_of
-from tubesight.methods.rays import BIAS_PX, ROWS, Indices, Problem
+from tubesight.methods.rays import BIAS_PX, ROWS, Problem
 
 # Shifts of a view: of all edges, and two lobes of each row.
 NUISANCES = 1 + 2 * ROWS

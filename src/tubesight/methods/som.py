@@ -20,6 +20,7 @@ import numpy as np
 
 from tubesight.core import Array, Status, Tube, Unmeasurable
 from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.polyline import lengths_along
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import smoothing
 from tubesight.methods.agreement import reprojection_rms_px, triangulate_tip
@@ -68,7 +69,7 @@ def solve(views: Mapping[str, View], rig: Rig, tube: Tube) -> Curve3D:
     ends = rough_way(views, rig, 5)[[0, -1]]
     share = np.linspace(0.0, 1.0, _NEURONS)[:, None]
     chain = draw_chain((1 - share) * ends[0] + share * ends[1], sights)
-    place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(chain, axis=0), axis=1))])
+    place = lengths_along(chain)
     widths = {name: float(np.median(view.widths_px)) for name, view in seen.items()}
     if not (np.isfinite(place).all() and np.diff(place).min() > 0):
         raise Unmeasurable(Status.NEAR_DEGENERATE, detail="neurons of the chain fell together")

@@ -19,7 +19,8 @@ from tubesight.geometry.curve import Curve3D, NodeCurve
 from tubesight.geometry.matching import monotone_way
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import by_arc_length
-from tubesight.methods.agreement import base_of, reprojection_rms_px, way_of
+from tubesight.methods.agreement import base_of, reprojection_rms_px
+from tubesight.methods.centreline import way_of
 from tubesight.vision.view import View
 
 # Pieces of the spline that are tried; the fewest whose rms is within the factor of the best are taken, as residuals on

@@ -21,11 +21,12 @@ import numpy as np
 from scipy.optimize import minimize
 
 from tubesight.core import Array, Status, Tube, Unmeasurable
-from tubesight.geometry.cone import place_along
 from tubesight.geometry.curve import Curve3D
+from tubesight.geometry.polyline import place_along
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import smoothing
-from tubesight.methods.agreement import base_of, best_pair, reprojection_rms_px, resampled, triangulate_tip, way_of
+from tubesight.methods.agreement import base_of, best_pair, reprojection_rms_px, triangulate_tip
+from tubesight.methods.centreline import resampled, way_of
 from tubesight.vision.view import View
 
 # Places of each centreline, and pairs of mirrored places that make a curve.

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tubesight.core import Array
-from tubesight.geometry.cone import place_along
+from tubesight.geometry.polyline import lengths_along, place_along
 from tubesight.geometry.rig import Rig
 from tubesight.vision.view import View
 
@@ -31,7 +31,7 @@ def evened(views: Mapping[str, View], rig: Rig, curve_mm: Array, radius_mm: floa
 def _evened(view: View, rig: Rig, curve_mm: Array, radius_mm: float) -> View:
     camera = rig.cameras[view.camera]
     points = rig.project(view.camera, curve_mm)
-    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    chord = lengths_along(points)
     place, _ = place_along(points, view.centreline_px)
     distance = np.linalg.norm(curve_mm - rig.centre_mm(view.camera), axis=1)
     angle = np.arcsin(np.clip(radius_mm / np.interp(place, chord, distance), 0.0, 1.0))[:, None]

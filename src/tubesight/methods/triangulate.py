@@ -16,7 +16,8 @@ from tubesight.core import Array, Status, Tube, Unmeasurable
 from tubesight.geometry.curve import Curve3D
 from tubesight.geometry.rig import Rig
 from tubesight.geometry.splines import interpolating
-from tubesight.methods.agreement import best_pair, reprojection_rms_px, resampled, way_of
+from tubesight.methods.agreement import best_pair, reprojection_rms_px
+from tubesight.methods.centreline import resampled, way_of
 from tubesight.vision.view import View
 
 # Points of the curve: one each 4 mm of a tube of 160 mm.

@@ -16,7 +16,7 @@ from tubesight.geometry.families import INTERVALS
 from tubesight.geometry.rig import Rig
 from tubesight.methods import fit_kernels, solve
 from tubesight.methods.fit import Fit, priors
-from tubesight.methods.rays import ROWS, Problem, centre_of, unprojected, used_pixels
+from tubesight.methods.rays import ROWS, Problem, unprojected, used_pixels
 from tubesight.vision.view import View
 
 # Step of the rays' place in differences: the miss is linear over a thousandth of a millimetre.
@@ -101,5 +101,5 @@ def _moved(rig: Rig) -> tuple[_Moved, ...]:
     for parameter, step in zip(rig.covariance.names, steps, strict=True):
         name, there = parameter.rsplit(".", 1)[0], rig.perturbed(parameter, step)
         pose = there.camera_from_base[name]
-        moved.append(_Moved(name, there.cameras[name], np.array(pose.rotation), centre_of(pose), float(step)))
+        moved.append(_Moved(name, there.cameras[name], np.array(pose.rotation), there.centre_mm(name), float(step)))
     return tuple(moved)

@@ -16,7 +16,7 @@ import numpy as np
 
 from tubesight.core import Array, Image, Mask, Status, Tube, Unmeasurable, readonly
 from tubesight.geometry.camera import Camera
-from tubesight.geometry.cone import place_along
+from tubesight.geometry.polyline import lengths_along, place_along, points_at
 from tubesight.vision.see import Start, see
 from tubesight.vision.signal import LINEAR_LIGHT
 from tubesight.vision.silhouette import learn
@@ -196,7 +196,7 @@ def _way(view: View) -> _Way:
     if last @ (line[-1] - line[-2]) > 0:
         px.append(view.tip.px[None])
     points = np.concatenate(px)
-    chord = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    chord = lengths_along(points)
     return _Way(points, chord, np.append(widths[:1], np.append(widths, widths[-1:]))[: len(points)])
 
 
@@ -279,7 +279,7 @@ def _place(way: _Way, px: Array, weight: Array) -> tuple[float, Array] | None:
 
 def _at(line: Array, chord: Array, place: float) -> Array:
     """Point (2,) of a polyline at an arc length, continued straight past its ends."""
-    point = np.array([np.interp(place, chord, line[:, k]) for k in (0, 1)])
+    point = points_at(line, chord, np.array(place))
     if place < 0:
         point = line[0] + place * (line[1] - line[0]) / chord[1]
     elif place > chord[-1]:

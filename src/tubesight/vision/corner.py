@@ -14,7 +14,7 @@ import numpy as np
 
 from tubesight.core import Array, Mask
 from tubesight.vision.ending import WIDTHS, last_way
-from tubesight.vision.signal import Signal
+from tubesight.vision.signal import TUBE, Signal
 from tubesight.vision.stages import Stages
 from tubesight.vision.walker import STEP_MIN_PX, STEP_WIDTHS, Track
 
@@ -147,7 +147,7 @@ def _crossed(signal: Signal, place: Array, way: Array, radius: float, width: flo
     angle = np.linspace(-np.pi, np.pi, count, endpoint=False)
     left = np.array([way[1], -way[0]])
     ring = place + radius * (np.cos(angle)[:, None] * way + np.sin(angle)[:, None] * left)
-    inside = np.concatenate([[False], np.nan_to_num(signal(ring)) > 0.5, [False]])
+    inside = np.concatenate([[False], np.nan_to_num(signal(ring)) > TUBE, [False]])
     first, last = np.flatnonzero(inside[1:] & ~inside[:-1]), np.flatnonzero(inside[:-1] & ~inside[1:]) - 1
     middle = (angle[first] + angle[last]) / 2
     chord = 2 * radius * np.sin((angle[last] - angle[first]) / 2)

@@ -14,12 +14,10 @@ import cv2
 import numpy as np
 
 from tubesight.core import Array, Mask
-from tubesight.vision.signal import Signal
+from tubesight.vision.signal import TUBE, Signal
 
 # The tube is this wide in the shrunk picture: half a pixel of it, by which the middle line is off, is a twentieth.
 _SHRUNK_PX = 10.0
-# Likeness (`Signal`) above which a pixel counts as tube.
-_TUBE = 0.5
 # A first look is so many times coarser, and takes what is so much like tube: the tube is then 2.5 pixels wide.
 _COARSER, _FAINT = 4, 0.25
 # A silhouette may be one tube where it is so many widths at the base wide (nearer to the camera or farther from it),
@@ -66,7 +64,7 @@ def silhouette_of(signal: Signal, width_px: float) -> Silhouette:
     pixel = max(width_px / _SHRUNK_PX, 1.0)
     size = max(round(width / pixel), 1), max(round(height / pixel), 1)
     rows, columns = _around(signal, size)
-    mask = (np.nan_to_num(signal.picture(size, rows, columns)) > _TUBE).astype(np.uint8)
+    mask = (np.nan_to_num(signal.picture(size, rows, columns)) > TUBE).astype(np.uint8)
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _CLOSING), np.uint8)
     # What fills the picture ends at its border.
     mask[[0, -1]] = mask[:, [0, -1]] = 0

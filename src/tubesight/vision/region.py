@@ -11,14 +11,12 @@ import numpy as np
 from tubesight.core import Array, Image, Mask, Tube
 from tubesight.geometry.camera import Camera
 from tubesight.vision.see import Start, see
-from tubesight.vision.signal import Signal
+from tubesight.vision.signal import TUBE, Signal
 from tubesight.vision.silhouette import choose
 from tubesight.vision.view import View
 
 # The region is looked for within this many widths of what the view found of the tube.
 _ROOM_WIDTHS = 1.5
-# Share of a pixel that is tube above which it counts as tube.
-_TUBE = 0.5
 # The colours are learned at this share of the tube's way: nearer the base its holder throws a shadow.
 _COLOURS_AT = 0.25
 
@@ -44,7 +42,7 @@ class RegionView(View):
         left, top = np.clip(np.floor(found.min(0) - room), 0, (width, height)).astype(int)
         right, bottom = np.clip(np.ceil(found.max(0) + room) + 1, 0, (width, height)).astype(int)
         columns, rows = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
-        tube = self.signal(np.stack([columns, rows], -1).astype(float)) > _TUBE
+        tube = self.signal(np.stack([columns, rows], -1).astype(float)) > TUBE
         _, labels = cv2.connectedComponents(tube.astype(np.uint8), connectivity=4)
         x, y = (np.rint(self.centreline_px) - (left, top)).astype(int).T
         inside = (x >= 0) & (y >= 0) & (x < labels.shape[1]) & (y < labels.shape[0])

@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from tubesight.core import Array
+from tubesight.geometry.polyline import lengths_along, points_at
 from tubesight.vision.edges import left_of
-from tubesight.vision.signal import Signal
+from tubesight.vision.signal import TUBE, Signal
 from tubesight.vision.view import View
 
 # Samples beside the tube: so far from its middle, and from each other along it (widths).
@@ -18,8 +19,6 @@ _ASIDE, _APART = 1.0, 0.25
 _STRAND, _OWN = 0.75, 0.8
 # Nothing is looked for so near to the base, where the holder's rim and shadow are (widths).
 _BASE = 1.0
-# Likeness above which a place is tube.
-_TUBE = 0.5
 
 
 def leaves_out(view: View, way_px: Array, signal: Signal) -> bool:
@@ -31,12 +30,11 @@ def leaves_out(view: View, way_px: Array, signal: Signal) -> bool:
         (N, 2) the whole middle line of the tube in the picture, base and tip included.
     """
     width = float(np.median(view.widths_px))
-    step = np.linalg.norm(np.diff(way_px, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(step)])
+    along = lengths_along(way_px)
     places = np.arange(_BASE * width, along[-1], _APART * width)
     if len(places) < 2:
         return False
-    middle = np.stack([np.interp(places, along, way_px[:, k]) for k in (0, 1)], 1)
+    middle = points_at(way_px, along, places)
     slope = np.gradient(middle, axis=0)
     left = left_of(slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9))
     tip = view.tip.contour_px
@@ -44,7 +42,7 @@ def leaves_out(view: View, way_px: Array, signal: Signal) -> bool:
     most = int(np.ceil(_STRAND / _APART))
     for side in (1.0, -1.0):
         beside = middle + side * _ASIDE * width * left
-        like = np.nan_to_num(signal(beside)) > _TUBE
+        like = np.nan_to_num(signal(beside)) > TUBE
         if like.sum() < most:
             continue
         found = beside[like]

@@ -26,6 +26,8 @@ LINEAR_LIGHT = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) 
 # from dark to bright) and shadows that of a background.
 NOISE = 0.02
 SHADING_TUBE, SHADING_CLOTH = 0.35, 0.25
+# Likeness above which a place is tube.
+TUBE = 0.5
 
 
 def planes(image: Image) -> Image:

@@ -8,12 +8,13 @@ import numpy as np
 
 from tubesight.core import Array, Mask, Status, Tube, Unmeasurable
 from tubesight.geometry.camera import Camera
+from tubesight.geometry.polyline import lengths_along, points_at
 from tubesight.vision.chains import Chain, chains
 from tubesight.vision.locate import find_tip
 from tubesight.vision.pairs import FIRST_COUNT, FIRST_STEP, FIRST_WIDTHS
 from tubesight.vision.pieces import Piece, silhouette_of
 from tubesight.vision.see import Start, measured, view_of
-from tubesight.vision.signal import Signal
+from tubesight.vision.signal import TUBE, Signal
 from tubesight.vision.stages import Stages, stages
 from tubesight.vision.view import View
 from tubesight.vision.walker import FINE_STEP_PX, GAP_TOLD, STEP_MAX_PX, STEP_MIN_PX, STEP_WIDTHS, Track
@@ -22,8 +23,6 @@ from tubesight.vision.walker import FINE_STEP_PX, GAP_TOLD, STEP_MAX_PX, STEP_MI
 _VIEWS = 3
 # Edges are on the tube's own outline where this far outside of them (widths, pixels) is no tube.
 _OUTSIDE_WIDTHS, _OUTSIDE_PX = 0.15, 2.0
-# Above this likeness it is one.
-_TUBE = 0.5
 # So far from its base (widths) a walk looks for the first edges: what is hidden there is not told of.
 _AT_BASE = FIRST_WIDTHS + FIRST_COUNT * FIRST_STEP
 # Places of a part of the tube whose way is known.
@@ -76,9 +75,9 @@ def _view(run: Stages, name: str, signal: Signal, camera: Camera, tube: Tube, st
 
 def _followed(run: Stages, signal: Signal, piece: Piece, step_px: float) -> list[Track]:
     """Tracks along a piece: the middles of its pairs of edges, apart where there are none."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(piece.middle_px, axis=0), axis=1))])
+    along = lengths_along(piece.middle_px)
     places = np.linspace(0, along[-1], max(int(along[-1] / step_px) + 1, _FEWEST))
-    middle = np.stack([np.interp(places, along, piece.middle_px[:, k]) for k in (0, 1)], 1)
+    middle = points_at(piece.middle_px, along, places)
     width = 2 * np.interp(places, along, piece.half_px)
     ways = np.gradient(middle, axis=0)
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
@@ -123,4 +122,4 @@ def _free(signal: Signal, edges: Array) -> Mask:
     width = np.linalg.norm(across, axis=1, keepdims=True)
     outward = across / width * (_OUTSIDE_WIDTHS * width + _OUTSIDE_PX)
     outside = signal(np.stack([edges[:, 0] + outward, edges[:, 1] - outward]))
-    return np.asarray((np.nan_to_num(outside) < _TUBE).all(0))
+    return np.asarray((np.nan_to_num(outside) < TUBE).all(0))

@@ -9,7 +9,8 @@ import numpy as np
 
 from tubesight.apps.reproduce.mockup import LENGTH_MM
 from tubesight.core import Array
-from tubesight.geometry.cone import Cone, epipolar_crossing, nearest_depth, ordered_depths, place_along
+from tubesight.geometry.cone import Cone, epipolar_crossing, nearest_depth, ordered_depths
+from tubesight.geometry.polyline import place_along
 from tubesight.geometry.rig import Rig
 from tubesight.methods.cone_ray import simplest_conic
 from tubesight.methods.dalvand import curvature
