@@ -21,6 +21,8 @@ from tubesight.core.kernels import COMPILED, FOLDER
 from tubesight.outputs import machine
 from tubesight.sensor import ShapeSensor
 from tubesight.simulate import Arc, render_pair, rig_around
+from tubesight.vision import entry_kernels
+from tubesight.vision.entry_kernels import Entry
 
 TUBE = Tube(12.0, Tip("ball", 16.0), clamped=True)
 
@@ -31,6 +33,14 @@ def test_everything_that_is_warmed_gives_a_shape() -> None:
     assert [step.name for step in warmed if not step.ok] == []
     assert [k for _, k, _ in told] == list(range(len(warmed) + 1))
     assert {n for _, _, n in told} == {len(warmed)}
+
+
+@pytest.mark.skipif(not COMPILED, reason="nothing is compiled here")
+def test_no_picture_waits_for_a_compiler_after_warming_up() -> None:
+    """Nor one whose tube is covered and seen stage by stage, in the middle of a live session."""
+    warm_up()
+    waiting = [name for name, each in vars(entry_kernels).items() if isinstance(each, Entry) and not each.ready]
+    assert waiting == []
 
 
 @pytest.mark.skipif(not COMPILED, reason="nothing is compiled here")

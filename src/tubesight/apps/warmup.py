@@ -14,14 +14,12 @@ from tubesight.simulate import Arc, render_pair, rig_around
 
 Progress = Callable[[str, int, int], None]
 
-# Compiled code does not depend on the size of pictures: small ones are rendered soonest.
-_SIZE_PX = (960, 540)
-# One tube for each kind of tip, since each kind has code of its own.
-_TUBES = (
-    Tube(12.0, Tip("ball", 16.0), clamped=True),
-    Tube(12.0, Tip("round"), clamped=True),
-    Tube(12.0, Tip("flat"), clamped=True),
-)
+# Compiled code does not depend on the size of pictures: small ones in which free tubes are found too.
+_SIZE_PX = (1280, 720)
+# One tube for each kind of tip, since each kind has code of its own. Free tubes are seen stage by stage: so is a
+# clamped one where something covers it, and that must not wait for a compiler.
+_TIPS = Tip("ball", 16.0), Tip("round"), Tip("flat")
+_TUBES = tuple(Tube(12.0, tip, clamped) for clamped in (True, False) for tip in _TIPS)
 _METHODS = ("silhouette", "cone_ray")
 
 
@@ -32,7 +30,7 @@ class Warmed:
     Attributes
     ----------
     name
-        What: the tip, the kind of picture and the method.
+        What: the tube, its tip, the kind of picture and the method.
     seconds
         How long that took; a fraction of a second where its code was there already.
     ok
@@ -45,7 +43,7 @@ class Warmed:
 
 
 def warm_up(progress: Progress | None = None) -> tuple[Warmed, ...]:
-    """Measure one simulated pair with each kind of tip, of picture and of method.
+    """Measure one simulated pair with each kind of tube, of tip, of picture and of method.
 
     Parameters
     ----------
@@ -57,7 +55,7 @@ def warm_up(progress: Progress | None = None) -> tuple[Warmed, ...]:
     work = [(*seen, kind, method) for seen in rendered for kind in _PICTURES for method in _METHODS]
     done = []
     for k, (tube, images, kind, method) in enumerate(work):
-        name = f"{tube.tip.shape} tip, {kind}, {method}"
+        name = f"{'clamped' if tube.clamped else 'free'} tube, {tube.tip.shape} tip, {kind}, {method}"
         if progress is not None:
             progress(name, k, len(work))
         pair = FramePair({camera: _PICTURES[kind](image) for camera, image in images.items()})

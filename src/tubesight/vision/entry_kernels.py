@@ -28,19 +28,25 @@ OPTICS = (TUPLE(NUMBER, 5), TUPLE(NUMBER, 8), FLAG)
 
 
 class Entry:
-    """A function that is compiled for arguments of these types, and no others, when it is first called."""
+    """A function that is compiled for arguments of these types, and no others, when it is first called.
+
+    Attributes
+    ----------
+    ready
+        Whether it is compiled.
+    """
 
     def __init__(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
         self._dispatcher: Any = compiled(function)
         self._arguments = arguments
-        self._ready = False
+        self.ready = False
 
     def __call__(self, *arguments: Any) -> Any:
         """Call it."""
-        if not self._ready:
+        if not self.ready:
             self._dispatcher.compile(self._arguments)
             self._dispatcher.disable_compile()
-            self._ready = True
+            self.ready = True
         return self._dispatcher(*arguments)
 
 
