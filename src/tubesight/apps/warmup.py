@@ -1,4 +1,4 @@
-"""``tubesight warmup``: compile and keep what a first result needs, before it is needed."""
+"""``tubesight warmup``: compile and keep what results need, before it is needed."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def command() -> None:
-    """Compile what a first result needs and keep it on disk, so that no measurement waits for it.
+    """Compile what results need and keep it on disk, so that no measurement waits for it.
 
     tubesight warmup
     """
